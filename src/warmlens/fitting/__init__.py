@@ -1,0 +1,1 @@
+"""Linear source inversion and the smooth-model fit."""

@@ -1,0 +1,1 @@
+"""Halo realizations: from the power spectrum to subhaloes on the sky."""

@@ -1,0 +1,1 @@
+"""Pixels, point spread function, source, noise: what makes an image."""

@@ -1,0 +1,1 @@
+"""The substructure scan: perturber, exact low-rank operator, Delta R maps."""

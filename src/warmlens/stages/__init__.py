@@ -1,0 +1,1 @@
+"""One module a rule: read artifacts, call science, write one artifact."""
