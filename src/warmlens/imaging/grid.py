@@ -80,7 +80,7 @@ class PixelGrid:
 
     def padded(self, margin: int) -> PixelGrid:
         """The same grid with `margin` more pixels on every side."""
-        x, y = self.to_sky(np.float64(-margin), np.float64(-margin))
+        x, y = self.to_sky(np.array(-float(margin)), np.array(-float(margin)))
         return PixelGrid(
             self.ny + 2 * margin, self.nx + 2 * margin, self.pixel_scale, float(x), float(y), self.axes
         )

@@ -1,0 +1,31 @@
+# warmlens: from the image of a strong lens to a lower bound on the mass of warm dark matter.
+# One rule file a stage; the paths, spans and settings come from the package.
+from snakemake.utils import min_version
+
+min_version("9.10")
+
+
+configfile: "config.yaml"
+
+
+include: "workflow/rules/common.smk"
+include: "workflow/rules/observation.smk"
+include: "workflow/rules/smooth_model.smk"
+include: "workflow/rules/scan_operator.smk"
+include: "workflow/rules/halos.smk"
+include: "workflow/rules/deflections.smk"
+include: "workflow/rules/mocks.smk"
+include: "workflow/rules/scans.smk"
+include: "workflow/rules/summaries.smk"
+include: "workflow/rules/abc.smk"
+include: "workflow/rules/figures.smk"
+
+
+rule all:
+    default_target: True
+    localrule: True
+    input:
+        # every stage's files, so that a deleted artifact is made again
+        [stage_files(CAMPAIGN, stage) for stage in STAGES],
+        results(TABLE),
+        expand(results("figures/{figure}.png"), figure=FIGURES),

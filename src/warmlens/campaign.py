@@ -1,0 +1,57 @@
+"""What is sampled: parameters of sample i, random streams, spans of chunks and shards."""
+
+from __future__ import annotations
+
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+
+from warmlens.types import FloatArray, IntArray
+
+Span = tuple[int, int]
+
+
+def stream(seed: int, stage: str, sample: int, band: str = "") -> np.random.Generator:
+    """Random numbers that depend on (seed, stage, sample, band) alone.
+
+    Names enter by their CRC-32, so that a stage or band keeps its numbers whatever is added beside it.
+    """
+    key = (zlib.crc32(stage.encode()), sample, zlib.crc32(band.encode()))
+    return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """Parameters of a span of samples, each [n]."""
+
+    sample_id: IntArray
+    m_th_kev: FloatArray
+    log10_m_halo_msun: FloatArray
+
+
+def draw_parameters(
+    seed: int, span: Span, m_th_kev: tuple[float, float], log10_m_halo_msun: tuple[float, float]
+) -> Parameters:
+    """Draw the parameters of samples start..stop-1 from the uniform prior, each from a stream of its own."""
+    ids = np.arange(*span)
+    uniforms = np.array([stream(seed, "parameters", int(i)).random(2) for i in ids]).reshape(-1, 2)
+    lower = np.array([m_th_kev[0], log10_m_halo_msun[0]])
+    upper = np.array([m_th_kev[1], log10_m_halo_msun[1]])
+    theta = lower + (upper - lower) * uniforms
+    return Parameters(ids, theta[:, 0], theta[:, 1])
+
+
+def chunk_spans(n: int, size: int) -> list[Span]:
+    """Full spans [c * size, (c + 1) * size) that cover 0..n-1; the last one may reach beyond n."""
+    return [(start, start + size) for start in range(0, n, size)]
+
+
+def shard_spans(n: int, size: int) -> list[Span]:
+    """Spans of `size` that cover 0..n-1 exactly; the last one ends at n."""
+    return [(start, min(start + size, n)) for start in range(0, n, size)]
+
+
+def span_name(span: Span) -> str:
+    """The part of a file name that tells the span: fixed width, so that names sort."""
+    return f"{span[0]:07d}-{span[1]:07d}"

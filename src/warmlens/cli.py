@@ -1,0 +1,263 @@
+"""Command line: `warmlens STAGE` for the workflow; `validate`, `status`, `audit`, `params` for people."""
+
+from __future__ import annotations
+
+import json
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
+
+import typer
+
+if TYPE_CHECKING:
+    from warmlens.config import Config
+
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=__doc__)
+
+Params = Annotated[str, typer.Option(help="Settings of the stage as JSON; see `warmlens params`.")]
+Output = Annotated[Path, typer.Option(help="Artifact to write.")]
+SpanOption = Annotated[tuple[int, int], typer.Option(help="First, and last + 1, of what to compute.")]
+Input = Annotated[Path, typer.Option(help="Artifact of that stage.")]
+Inputs = Annotated[list[Path], typer.Option(help="Artifacts of that stage; repeat the option.")]
+ConfigFiles = Annotated[
+    Optional[list[Path]],  # noqa: UP045 (typer reads the annotation at run time)
+    typer.Option("--configfile", help="Overlays on config.yaml, later ones win."),
+]
+Results = Annotated[Path, typer.Argument(help="Results folder of a campaign.")]
+
+
+@app.command()
+def observation(params: Params, output: Output) -> None:
+    """Read the FITS images, or make the simulated observation."""
+    from warmlens.stages import observation as stage
+    from warmlens.stages.settings import ObservationSettings
+
+    stage.run(ObservationSettings.model_validate(json.loads(params)), output)
+
+
+@app.command()
+def smooth_model(params: Params, observation: Input, output: Output) -> None:
+    """Fit the amplitudes of the smooth model."""
+    from warmlens.stages import smooth_model as stage
+    from warmlens.stages.settings import SmoothModelSettings
+
+    stage.run(SmoothModelSettings.model_validate(json.loads(params)), observation, output)
+
+
+@app.command()
+def scan_design(params: Params, observation: Input, smooth_model: Input, output: Output) -> None:
+    """Build what all shards of the scan operator share."""
+    from warmlens.stages import scan_operator as stage
+    from warmlens.stages.settings import ScanSettings
+
+    settings = ScanSettings.model_validate(json.loads(params))
+    stage.run_design(settings, observation, smooth_model, output)
+
+
+@app.command()
+def scan_operator(
+    params: Params, span: SpanOption, observation: Input, smooth_model: Input, design: Input, output: Output
+) -> None:
+    """Build the scan operator of a span of positions."""
+    from warmlens.stages import scan_operator as stage
+    from warmlens.stages.settings import ScanSettings
+
+    settings = ScanSettings.model_validate(json.loads(params))
+    stage.run(settings, span, observation, smooth_model, design, output)
+
+
+@app.command()
+def observed_scan(
+    params: Params, observation: Input, smooth_model: Input, design: Input, shard: Inputs, output: Output
+) -> None:
+    """Scan the observation."""
+    from warmlens.stages import scans as stage
+    from warmlens.stages.settings import ScanSettings
+
+    settings = ScanSettings.model_validate(json.loads(params))
+    stage.run_observed(settings, observation, smooth_model, design, shard, output)
+
+
+@app.command()
+def observed_summary(params: Params, observed_scan: Input, output: Output) -> None:
+    """Summarise the scan of the observation."""
+    from warmlens.stages import summaries as stage
+    from warmlens.stages.settings import SummariesSettings
+
+    stage.run_observed(SummariesSettings.model_validate(json.loads(params)), observed_scan, output)
+
+
+@app.command()
+def halos(params: Params, span: SpanOption, output: Output) -> None:
+    """Draw the halo realizations of a chunk."""
+    from warmlens.stages import halos as stage
+    from warmlens.stages.settings import HalosSettings
+
+    stage.run(HalosSettings.model_validate(json.loads(params)), span, output)
+
+
+@app.command()
+def deflections(params: Params, halos: Input, observation: Input, output: Output) -> None:
+    """Compute the filtered deflections of a chunk."""
+    from warmlens.stages import deflections as stage
+    from warmlens.stages.settings import DeflectionsSettings
+
+    stage.run(DeflectionsSettings.model_validate(json.loads(params)), halos, observation, output)
+
+
+@app.command()
+def mocks(params: Params, deflections: Input, observation: Input, smooth_model: Input, output: Output) -> None:
+    """Make the mock images of a chunk."""
+    from warmlens.stages import mocks as stage
+    from warmlens.stages.settings import MocksSettings
+
+    settings = MocksSettings.model_validate(json.loads(params))
+    stage.run(settings, deflections, observation, smooth_model, output)
+
+
+@app.command()
+def scans(
+    params: Params,
+    mocks: Input,
+    observation: Input,
+    smooth_model: Input,
+    design: Input,
+    shard: Inputs,
+    output: Output,
+) -> None:
+    """Scan the mocks of a chunk."""
+    from warmlens.stages import scans as stage
+    from warmlens.stages.settings import ScanSettings
+
+    settings = ScanSettings.model_validate(json.loads(params))
+    stage.run(settings, mocks, observation, smooth_model, design, shard, output)
+
+
+@app.command()
+def summaries(params: Params, scans: Input, output: Output) -> None:
+    """Summarise the scans of a chunk."""
+    from warmlens.stages import summaries as stage
+    from warmlens.stages.settings import SummariesSettings
+
+    stage.run(SummariesSettings.model_validate(json.loads(params)), scans, output)
+
+
+@app.command()
+def abc(
+    params: Params,
+    summary: Inputs,
+    observed_summary: Input,
+    smooth_model: Input,
+    output: Output,
+    table: Output,
+) -> None:
+    """Accept samples and bound the mass of the thermal relic."""
+    from warmlens.stages import abc as stage
+    from warmlens.stages.settings import AbcSettings
+
+    settings = AbcSettings.model_validate(json.loads(params))
+    stage.run(settings, summary, observed_summary, smooth_model, output, table)
+
+
+@app.command()
+def figure(
+    name: Annotated[str, typer.Argument(help="Which figure.")],
+    artifact: Annotated[list[str], typer.Option(help="stage=path of an input; repeat the option.")],
+    output: Output,
+) -> None:
+    """Draw one figure of the campaign."""
+    from warmlens.stages import figures as stage
+
+    stage.run(name, {key: Path(path) for key, _, path in (item.partition("=") for item in artifact)}, output)
+
+
+@app.command()
+def validate(configfile: ConfigFiles = None) -> None:
+    """Check config.yaml and overlays: one line per problem."""
+    config = _load(configfile)
+    from warmlens.layout import chunks, shards
+
+    typer.echo(
+        f"valid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
+        f"{len(shards(config))} shards of the scan operator, results in {config.results}"
+    )
+
+
+@app.command()
+def params(
+    stage: Annotated[str, typer.Argument(help="Name of the stage.")], configfile: ConfigFiles = None
+) -> None:
+    """Print the settings that the workflow hands to a stage, for running it by hand."""
+    from warmlens.artifacts import canonical_json
+    from warmlens.stages.settings import stage_settings
+
+    typer.echo(canonical_json(stage_settings(_load(configfile), stage).as_dict()))
+
+
+@app.command()
+def status(
+    results: Results,
+    cores: Annotated[int, typer.Option(help="Cores that the campaign runs on, for the time left.")] = 0,
+) -> None:
+    """Show what is done, what failed and how long the rest will take."""
+    from warmlens.status import campaign_status, print_status, read_campaign
+
+    print_status(campaign_status(read_campaign(results)), cores or os.cpu_count() or 1)
+
+
+@app.command()
+def audit(results: Results, configfile: ConfigFiles = None) -> None:
+    """Re-hash every artifact and follow the chain from the posterior to the observation."""
+    from warmlens.audit import audit as walk
+    from warmlens.layout import stage_files
+    from warmlens.stages.settings import STAGES, stage_digests
+    from warmlens.status import read_campaign
+
+    config = _load(configfile) if configfile else read_campaign(results)
+    config = config.model_copy(update={"results": str(results)})
+    files = {path: stage for stage in STAGES for path in stage_files(config, stage)}
+    findings = walk(files, stage_digests(config))
+    for finding in findings:
+        typer.echo(f"{finding.path}: {finding.problem}")
+    if findings:
+        typer.echo(f"{len(findings)} problems in {len(files)} artifacts; run the campaign again to mend them")
+        raise typer.Exit(1)
+    typer.echo(f"{len(files)} artifacts: complete, unaltered, and made from one another as recorded")
+
+
+@app.command()
+def result(results: Results) -> None:
+    """Print the bound of a finished campaign and where to look."""
+    from warmlens.status import print_result
+
+    print_result(results)
+
+
+def _load(overlays: list[Path] | None) -> Config:
+    from warmlens.config_file import load_config
+
+    return load_config([Path("config.yaml"), *(overlays or [])])
+
+
+def main() -> None:
+    """Run the command line; errors of the user or of an input end with a message, not with a traceback."""
+    from warmlens.threads import use_one_thread
+
+    use_one_thread()
+    from warmlens.artifacts import ArtifactError
+    from warmlens.config_file import ConfigError
+
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S")
+    try:
+        app()
+    except (ConfigError, ArtifactError) as error:
+        sys.exit(f"warmlens: {error}")
+    except ValueError as error:
+        logging.getLogger("warmlens").debug("traceback", exc_info=True)
+        sys.exit(f"warmlens: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,349 @@
+"""Typed blocks of config.yaml: every key has a type and a range; unknown or impossible values are errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Fraction = Annotated[float, Field(gt=0, lt=1)]
+Point = tuple[Finite, Finite]
+BandName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.+-]+$")]
+
+
+def _ascending(value: tuple[float, float]) -> tuple[float, float]:
+    if not value[0] < value[1]:
+        raise ValueError(f"the lower end {value[0]:g} must be below the upper end {value[1]:g}")
+    return value
+
+
+Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
+
+
+class Block(BaseModel):
+    """A frozen mapping that knows its keys."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, ser_json_inf_nan="constants")
+
+
+class CampaignBlock(Block):
+    """What is sampled, and in which portions."""
+
+    seed: Annotated[int, Field(ge=0)]
+    n_samples: Annotated[int, Field(ge=1)]
+    chunk_size: Annotated[int, Field(ge=1)]
+
+
+class CosmologyBlock(Block):
+    """Flat LCDM."""
+
+    H0: Positive
+    Om0: Fraction
+    Ob0: Fraction
+    sigma8: Positive
+    ns: Positive
+    Tcmb0: Positive
+
+    @model_validator(mode="after")
+    def _baryons(self) -> CosmologyBlock:
+        if self.Ob0 >= self.Om0:
+            raise ValueError(f"Ob0 = {self.Ob0:g} must be below Om0 = {self.Om0:g}")
+        return self
+
+
+class RedshiftBlock(Block):
+    """Redshifts of the lens and of the source."""
+
+    lens: Positive
+    source: Positive
+
+    @model_validator(mode="after")
+    def _order(self) -> RedshiftBlock:
+        if self.source <= self.lens:
+            raise ValueError(f"source = {self.source:g} must lie behind lens = {self.lens:g}")
+        return self
+
+
+class DarkMatterBlock(Block):
+    """Prior of the two parameters that are inferred."""
+
+    m_th_kev: Interval
+    log10_m_halo_msun: Interval
+
+    @model_validator(mode="after")
+    def _ranges(self) -> DarkMatterBlock:
+        if self.m_th_kev[0] <= 0:
+            raise ValueError(f"m_th_kev must be above 0, got {self.m_th_kev[0]:g}")
+        low, high = self.log10_m_halo_msun
+        if not 10 <= low < high <= 16:
+            raise ValueError(f"log10_m_halo_msun must lie within [10, 16], got [{low:g}, {high:g}]")
+        return self
+
+
+class HalosBlock(Block):
+    """Physics of the halo realizations (docs/decisions.md explains each choice)."""
+
+    preset: Literal["paper", "calibrated", "custom"]
+    tau_dyn: Literal["paper", "jvdb16"] | None = None
+    positions: Literal["nfw_host", "nfw_infall"] | None = None
+    field_half_width_arcsec: Positive
+    min_mass_msun: Positive
+    branching: tuple[Positive, Finite, Finite]
+    sharp_k_a: Positive
+    barrier_factor: Positive
+    stripping_amplitude: NonNegative
+    stripping_slope: Positive
+    friction_amplitude: NonNegative
+    friction_mass_slope: Finite
+    friction_circularity_slope: Finite
+    concentration_amplitude: Positive
+    concentration_mass_slope: Finite
+    concentration_redshift_slope: Finite
+    concentration_pivot_msun: Positive
+    concentration_min: Positive
+    formation_mass_cap_msun: Positive
+    z_max: Positive
+
+    @model_validator(mode="after")
+    def _preset(self) -> HalosBlock:
+        for key in ("tau_dyn", "positions"):
+            given = getattr(self, key) is not None
+            if given != (self.preset == "custom"):
+                need = "is needed with" if self.preset == "custom" else "is set by"
+                raise ValueError(f"{key} {need} preset: {self.preset}; use preset: custom to choose it")
+        return self
+
+
+class SourceBlock(Block):
+    """Shapelet basis of the source, common to all bands."""
+
+    n_max: Annotated[int, Field(ge=0, le=80)]
+    beta_arcsec: Positive
+    center: Point
+    supersampling: Annotated[int, Field(ge=1, le=8)]
+
+
+class LensBlock(Block):
+    """A lens in lenstronomy's names: `lens_model_list` and `kwargs_lens`."""
+
+    lens_model_list: list[str]
+    kwargs_lens: list[dict[str, Any]]
+
+    @model_validator(mode="after")
+    def _lengths(self) -> LensBlock:
+        _same_length("lens_model_list", self.lens_model_list, "kwargs_lens", self.kwargs_lens)
+        return self
+
+
+class LensLightBlock(Block):
+    """Light of the lens in lenstronomy's names, without `amp`: amplitudes are linear, free per band."""
+
+    lens_light_model_list: list[str]
+    kwargs_lens_light: list[dict[str, Any]]
+
+    @model_validator(mode="after")
+    def _lengths(self) -> LensLightBlock:
+        _same_length(
+            "lens_light_model_list", self.lens_light_model_list, "kwargs_lens_light", self.kwargs_lens_light
+        )
+        return self
+
+
+def _same_length(name: str, first: Sequence[object], other: str, second: Sequence[object]) -> None:
+    if len(first) != len(second):
+        raise ValueError(f"{name} has {len(first)} entries, {other} has {len(second)}; they must match")
+
+
+class SmoothModelBlock(Block):
+    """Smooth model: the lens is given; the amplitudes of source, light and quasars are fitted per band."""
+
+    mode: Literal["given"]
+    lens: LensBlock
+    lens_light: LensLightBlock
+    quasar_images: list[Point]
+    quasar_variance_fraction: NonNegative
+    fit_background: bool
+    source: SourceBlock
+    ridge: Positive
+    chi2_red_range: Interval
+
+
+class SimulatedBandBlock(Block):
+    """One band of the simulated observation; fluxes in e-/s."""
+
+    wavelength_nm: Positive
+    exposure_s: Positive
+    background_rms: Positive
+    sky: Finite
+    source_flux: Positive
+    clump_flux_fraction: Annotated[float, Field(ge=0, le=1)]
+    quasar_fluxes: list[NonNegative]
+    lens_light_amplitudes: list[NonNegative]
+
+
+class SimulatedSourceBlock(Block):
+    """Face-on clumpy spiral: an exponential disc and Gaussian clumps along two arms [arcsec]."""
+
+    center: Point
+    disc_scale_arcsec: Positive
+    n_clumps: Annotated[int, Field(ge=0)]
+    clump_sigma_arcsec: Interval
+    seed: Annotated[int, Field(ge=0)]
+
+
+class TruthBlock(Block):
+    """The known dark matter of the simulated observation; m_th_kev may be .inf (CDM)."""
+
+    m_th_kev: Annotated[float, Field(gt=0)]
+    log10_m_halo_msun: Annotated[float, Field(ge=10, le=16)]
+    seed: Annotated[int, Field(ge=0)]
+
+
+class SimulatedBlock(Block):
+    """The embedded observation: an RXJ1131-like lens whose substructure is drawn by the halo stage."""
+
+    shape: tuple[Annotated[int, Field(ge=16)], Annotated[int, Field(ge=16)]]
+    pixel_scale_arcsec: Positive
+    psf_pixels: Annotated[int, Field(ge=3)]
+    supersampling: Annotated[int, Field(ge=1, le=8)]
+    truth: TruthBlock
+    lens: LensBlock
+    lens_light: LensLightBlock
+    quasar_images: list[Point]
+    source: SimulatedSourceBlock
+    bands: dict[BandName, SimulatedBandBlock]
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SimulatedBlock:
+        if self.psf_pixels % 2 == 0:
+            raise ValueError(f"psf_pixels must be odd, got {self.psf_pixels}")
+        for name, band in self.bands.items():
+            _same_length("quasar_images", self.quasar_images, f"{name}.quasar_fluxes", band.quasar_fluxes)
+            _same_length(
+                "lens_light_model_list",
+                self.lens_light.lens_light_model_list,
+                f"{name}.lens_light_amplitudes",
+                band.lens_light_amplitudes,
+            )
+        return self
+
+
+class FitsBandBlock(Block):
+    """Files of one band, [y, x]; `$NAME` or `${NAME}` in a path is an environment variable."""
+
+    science: str
+    psf: str
+    mask: str | None = None
+    sigma: str | None = None
+    weight: str | None = None
+    extension: Annotated[int, Field(ge=0)] = 0
+    exposure_s: Positive | None = None
+    background_rms: Positive | None = None
+    units: Literal["electron/s"] | None = None
+    pixel_scale_arcsec: Positive | None = None
+    center_pixel: Point | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> FitsBandBlock:
+        if self.sigma is not None and self.weight is not None:
+            raise ValueError("give either sigma or weight (inverse variance), not both")
+        if self.pixel_scale_arcsec is not None and self.center_pixel is None:
+            raise ValueError("pixel_scale_arcsec replaces the WCS and needs center_pixel ([x, y], from 0) too")
+        return self
+
+
+class ObservationBlock(Block):
+    """Where the observed image comes from."""
+
+    kind: Literal["simulated", "fits"]
+    bands: Annotated[list[BandName], Field(min_length=1)]
+    simulated: SimulatedBlock | None = None
+    fits: dict[BandName, FitsBandBlock] | None = None
+
+    @model_validator(mode="after")
+    def _bands(self) -> ObservationBlock:
+        if len(set(self.bands)) != len(self.bands):
+            raise ValueError(f"bands {self.bands} names a band twice")
+        known = self.fits if self.kind == "fits" else self.simulated and self.simulated.bands
+        if known is None:
+            raise ValueError(f"kind: {self.kind} needs the block '{self.kind}'")
+        missing = [band for band in self.bands if band not in known]
+        if missing:
+            raise ValueError(f"bands {missing} are not described under {self.kind}; known: {sorted(known)}")
+        return self
+
+
+class DeflectionsBlock(Block):
+    """High-pass filter of the subhaloes' deflection."""
+
+    filter: Literal["gaussian"]
+    filter_arcsec: Positive
+
+
+class PerturberBlock(Block):
+    """The scan's perturber: an isothermal deflection with a linear truncation."""
+
+    theta_e_arcsec: Positive
+    r_trunc_arcsec: Positive
+
+
+class ScanBlock(Block):
+    """Raster of the substructure scan."""
+
+    perturber: PerturberBlock
+    step_arcsec: Positive
+    window_arcsec: tuple[Positive, Positive]
+    center: Point
+    shard_size: Annotated[int, Field(ge=1)]
+
+    @model_validator(mode="after")
+    def _window(self) -> ScanBlock:
+        for side in self.window_arcsec:
+            if side < self.step_arcsec:
+                raise ValueError(f"window_arcsec {side:g} is smaller than step_arcsec {self.step_arcsec:g}")
+        return self
+
+
+class SummariesBlock(Block):
+    """Two-point correlation function and cumulative distribution of Delta R."""
+
+    threshold: Annotated[float, Field(lt=0, allow_inf_nan=False)]
+    max_separation_arcsec: Positive
+    cumulative_min: Annotated[float, Field(lt=0, allow_inf_nan=False)]
+    cumulative_bins: Annotated[int, Field(ge=2)]
+
+    @model_validator(mode="after")
+    def _order(self) -> SummariesBlock:
+        if self.cumulative_min >= self.threshold:
+            raise ValueError(f"cumulative_min {self.cumulative_min:g} must be below threshold {self.threshold:g}")
+        return self
+
+
+class AbcBlock(Block):
+    """Acceptance and bound."""
+
+    acceptance: Literal["max_rank"]
+    fraction: Annotated[float, Field(gt=0, le=1)]
+    bootstrap: Annotated[int, Field(ge=100)]
+    max_failed_fraction: Annotated[float, Field(ge=0, lt=1)]
+
+
+class Config(Block):
+    """The whole configuration of a campaign."""
+
+    results: Annotated[str, Field(min_length=1)]
+    campaign: CampaignBlock
+    cosmology: CosmologyBlock
+    redshifts: RedshiftBlock
+    dark_matter: DarkMatterBlock
+    halos: HalosBlock
+    observation: ObservationBlock
+    smooth_model: SmoothModelBlock
+    deflections: DeflectionsBlock
+    scan: ScanBlock
+    summaries: SummariesBlock
+    abc: AbcBlock

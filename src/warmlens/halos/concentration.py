@@ -1,0 +1,80 @@
+"""Concentrations of cold dark matter haloes, and their mapping to warm dark matter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warmlens.halos.power_spectrum import SharpKVariance
+from warmlens.types import FloatArray
+
+COLLAPSED_FRACTION = 0.05
+_MAP_MIN_MSUN = 1.0e3
+_MAP_POINTS = 4096
+
+
+@dataclass(frozen=True)
+class ConcentrationRelation:
+    """Power law c = amplitude (M/pivot)^mass_slope (1+z)^redshift_slope of cold dark matter (200c).
+
+    Attributes
+    ----------
+    amplitude, mass_slope, redshift_slope
+        A_c, B_c and C_c of Birrer et al. 2017, section 3.1.3.
+    pivot_msun
+        Pivot mass [Msun].
+    minimum
+        Smallest concentration; smaller values are raised to it.
+    """
+
+    amplitude: float = 5.22
+    mass_slope: float = -0.072
+    redshift_slope: float = -0.42
+    pivot_msun: float = 2.0e12
+    minimum: float = 1.5
+
+    def __call__(self, mass_msun: FloatArray | float, z: FloatArray | float) -> FloatArray:
+        """Concentration of cold haloes of mass M200c [Msun] at redshift z; shapes broadcast."""
+        mass_term = (np.asarray(mass_msun) / self.pivot_msun) ** self.mass_slope
+        redshift_term = (1.0 + np.asarray(z)) ** self.redshift_slope
+        return np.maximum(self.amplitude * mass_term * redshift_term, self.minimum)
+
+
+@dataclass(frozen=True)
+class FormationHistory:
+    """Cold haloes by the variance that they gain between 5% of their mass and the whole.
+
+    Two haloes, whatever their dark matter, collapse at the same time if they gain the same variance:
+    w(z_c) = w(z) + sqrt(pi/2 [S(fM) - S(M)]), so that pi/2, z and any factor of the barrier cancel.
+
+    Attributes
+    ----------
+    ln_gain
+        ln[S(fM) - S(M)], ascending.
+    ln_mass
+        ln(M/Msun) of the cold halo, descending.
+    """
+
+    ln_gain: FloatArray
+    ln_mass: FloatArray
+
+    @classmethod
+    def of_cold_haloes(cls, cold: SharpKVariance, mass_cap_msun: float) -> FormationHistory:
+        """Tabulate cold haloes up to the mass cap [Msun], which is the longest delay that is mapped."""
+        mass = np.geomspace(mass_cap_msun, _MAP_MIN_MSUN, _MAP_POINTS)
+        return cls(np.log(variance_gain(cold, mass)), np.log(mass))
+
+    def matching_mass(self, variance: SharpKVariance, mass_msun: FloatArray) -> FloatArray:
+        """Mass [Msun] of the cold halo that forms when a halo of mass M [Msun] of `variance` does.
+
+        Reference: Schneider 2015 (Birrer et al. 2017, section 3.1.3).
+        """
+        floor = np.exp(self.ln_gain[0])
+        gain = np.maximum(variance_gain(variance, mass_msun), floor)
+        return np.exp(np.interp(np.log(gain), self.ln_gain, self.ln_mass))
+
+
+def variance_gain(variance: SharpKVariance, mass_msun: FloatArray) -> FloatArray:
+    """S(fM) - S(M) with f = 0.05 for haloes of mass M [Msun]."""
+    return variance.variance(COLLAPSED_FRACTION * mass_msun) - variance.variance(mass_msun)

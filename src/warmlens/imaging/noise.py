@@ -1,0 +1,54 @@
+"""Noise of the observation and of its mocks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warmlens.types import FloatArray
+
+
+@dataclass(frozen=True)
+class NoiseModel:
+    """Gaussian background and Poisson noise of the exposure.
+
+    Attributes
+    ----------
+    background_rms
+        Of a pixel [e-/s]; None if the user gave a noise map.
+    exposure_s
+        Exposure time [s]; None if the user gave a noise map: then a mock's noise is Gaussian with that map.
+    """
+
+    background_rms: float | None
+    exposure_s: float | None
+
+    def sigma(self, image: FloatArray) -> FloatArray:
+        """Noise estimated from the image d: sigma^2 = background^2 + max(d, 0) / exposure."""
+        if self.background_rms is None or self.exposure_s is None:
+            raise ValueError("a noise map was given: it is not estimated from the image")
+        return np.sqrt(self.background_rms**2 + np.maximum(image, 0.0) / self.exposure_s)
+
+    def draw(self, image: FloatArray, sigma: FloatArray, rng: np.random.Generator) -> FloatArray:
+        """Noisy version of a noiseless image [e-/s]; `sigma` is used where only a noise map is known."""
+        if self.background_rms is None or self.exposure_s is None:
+            return image + np.where(np.isfinite(sigma), sigma, 0.0) * rng.standard_normal(image.shape)
+        counts = rng.poisson(np.maximum(image, 0.0) * self.exposure_s)
+        background = self.background_rms * rng.standard_normal(image.shape)
+        return np.minimum(image, 0.0) + counts / self.exposure_s + background
+
+
+def with_quasar_variance(sigma: FloatArray, quasars: FloatArray, fraction: float) -> FloatArray:
+    """Add the error of the PSF near bright points: sigma^2 + (fraction * flux of the point sources)^2.
+
+    Parameters
+    ----------
+    sigma
+        Noise [e-/s], any shape.
+    quasars
+        Image of the point sources alone [e-/s], same shape.
+    fraction
+        Relative error of the PSF.
+    """
+    return np.sqrt(sigma**2 + (fraction * quasars) ** 2)

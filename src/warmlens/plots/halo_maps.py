@@ -1,0 +1,90 @@
+"""Substructure of the simulated haloes: projected mass and the deflections it makes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.image import AxesImage
+
+from warmlens.imaging.grid import PixelGrid
+from warmlens.plots.sky import add_colour_bar, draw_diverging, draw_image
+from warmlens.types import FloatArray
+
+DECADES = 3.0
+
+
+def draw_halo_map(
+    ax: Axes,
+    surface_density_msun_kpc2: FloatArray,
+    grid: PixelGrid,
+    limits: tuple[float, float] | None = None,
+) -> AxesImage:
+    """Projected mass of the subhaloes, on a logarithmic scale.
+
+    Parameters
+    ----------
+    ax
+        Where to draw.
+    surface_density_msun_kpc2
+        Sigma [Msun/kpc^2], [ny, nx]; 0 (no subhalo) has the first colour.
+    grid
+        Its pixels.
+    limits
+        Sigma of the first and last colour; unless given, the last is the largest value and the first
+        `DECADES` decades below it.
+    """
+    low, high = density_limits([surface_density_msun_kpc2]) if limits is None else limits
+    return draw_image(ax, surface_density_msun_kpc2, grid, "log", (low, high), cmap="magma")
+
+
+def density_limits(maps: Sequence[FloatArray]) -> tuple[float, float]:
+    """First and last colour of maps of Sigma [Msun/kpc^2] that share a scale."""
+    high = max(float(np.max(sigma)) for sigma in maps)
+    if not 0.0 < high < np.inf:
+        raise ValueError(f"the largest surface density is {high}: there is no substructure to show")
+    return high / 10.0**DECADES, high
+
+
+def draw_halo_panels(
+    axes: np.ndarray, maps: Sequence[FloatArray], grid: PixelGrid, titles: Sequence[str]
+) -> list[AxesImage]:
+    """Projected mass of several haloes on one scale, with one colour bar.
+
+    Parameters
+    ----------
+    axes
+        Panels, object array [n].
+    maps
+        Sigma [Msun/kpc^2] of each, [n][ny, nx].
+    grid
+        Pixels of every map.
+    titles
+        Parameters of each halo.
+    """
+    limits = density_limits(maps)
+    artists = [draw_halo_map(ax, sigma, grid, limits) for ax, sigma in zip(axes, maps, strict=True)]
+    _label_panels(axes, titles)
+    add_colour_bar(artists[0], list(axes), r"$\Sigma_{\rm sub}$ [M$_\odot$ kpc$^{-2}$]")
+    return artists
+
+
+def draw_deflection_panels(
+    axes: np.ndarray,
+    maps: Sequence[FloatArray],
+    grid: PixelGrid,
+    titles: Sequence[str],
+    limit_arcsec: float,
+) -> list[AxesImage]:
+    """One component of the filtered deflection [arcsec], full colour at `limit_arcsec`; as `draw_halo_panels`."""
+    artists = [draw_diverging(ax, alpha, grid, limit_arcsec) for ax, alpha in zip(axes, maps, strict=True)]
+    _label_panels(axes, titles)
+    add_colour_bar(artists[0], list(axes), r"$\Delta\alpha_x$ [arcsec]")
+    return artists
+
+
+def _label_panels(axes: np.ndarray, titles: Sequence[str]) -> None:
+    for ax, title in zip(axes, titles, strict=True):
+        ax.set_title(title)
+        ax.label_outer()

@@ -1,0 +1,151 @@
+"""Images and maps on the sky."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.colorbar import Colorbar
+from matplotlib.colors import AsinhNorm, LogNorm, Normalize
+from matplotlib.image import AxesImage
+from matplotlib.transforms import Affine2D
+
+from warmlens.imaging.grid import PixelGrid
+from warmlens.types import FloatArray
+
+MASKED_COLOUR = "0.85"
+Stretch = Literal["linear", "asinh", "log"]
+
+
+def draw_image(
+    ax: Axes,
+    image: FloatArray,
+    grid: PixelGrid,
+    stretch: Stretch = "linear",
+    limits: tuple[float, float] | None = None,
+    linear_width: float | None = None,
+    cmap: str = "inferno",
+) -> AxesImage:
+    """Image in sky coordinates: x to the West on the right, y to the North up, whatever the axes of the grid.
+
+    Parameters
+    ----------
+    ax
+        Where to draw.
+    image
+        [ny, nx]; NaN is shown as masked.
+    grid
+        Its pixels.
+    stretch
+        Scale of the colours: linear, asinh (linear below `linear_width`), or log (limits must be > 0).
+    limits
+        Values of the first and last colour; the finite extremes of the image unless given.
+    linear_width
+        Of the asinh stretch, in the units of the image; 2% of the span of the limits unless given.
+    cmap
+        Name of the colour map.
+    """
+    if image.shape != grid.shape:
+        raise ValueError(f"image has shape {image.shape}, its grid {grid.shape}")
+    low, high = limits if limits is not None else (float(np.nanmin(image)), float(np.nanmax(image)))
+    if stretch == "log":
+        norm: Normalize = LogNorm(low, high, clip=True)
+    elif stretch == "asinh":
+        norm = AsinhNorm(linear_width if linear_width is not None else 0.02 * (high - low), low, high)
+    else:
+        norm = Normalize(low, high)
+    (xx, xy), (yx, yy) = grid.axes
+    scale = grid.pixel_scale
+    to_sky = Affine2D(
+        [
+            [scale * xx, scale * xy, grid.origin_x],
+            [scale * yx, scale * yy, grid.origin_y],
+            [0.0, 0.0, 1.0],
+        ]
+    )  # of (column, row); PixelGrid.to_sky
+    artist = ax.imshow(
+        np.ma.masked_invalid(image),
+        norm=norm,
+        cmap=cmap,
+        origin="lower",
+        interpolation="nearest",
+        extent=(-0.5, grid.nx - 0.5, -0.5, grid.ny - 0.5),
+        transform=to_sky + ax.transData,
+    )
+    corners = to_sky.transform(
+        [(column, row) for column in (-0.5, grid.nx - 0.5) for row in (-0.5, grid.ny - 0.5)]
+    )
+    ax.set_xlim(corners[:, 0].min(), corners[:, 0].max())
+    ax.set_ylim(corners[:, 1].min(), corners[:, 1].max())
+    ax.set_facecolor(MASKED_COLOUR)
+    ax.set_aspect("equal")
+    ax.set_xlabel("$x$ [arcsec]")
+    ax.set_ylabel("$y$ [arcsec]")
+    return artist
+
+
+def draw_diverging(
+    ax: Axes, field: FloatArray, grid: PixelGrid, limit: float | None = None, cmap: str = "RdBu_r"
+) -> AxesImage:
+    """Map of a signed quantity, centred on zero: residuals, Delta R, one component of a deflection.
+
+    Parameters
+    ----------
+    ax, field, grid, cmap
+        As in `draw_image`.
+    limit
+        Value of full colour, on both sides; the largest magnitude unless given. The paper's figure of the
+        deflections has 0.04".
+    """
+    full = float(np.nanmax(np.abs(field))) if limit is None else limit
+    if not 0.0 < full < np.inf:
+        raise ValueError(f"limit of a diverging map must be finite and > 0, got {full!r}; give one")
+    return draw_image(ax, field, grid, limits=(-full, full), cmap=cmap)
+
+
+def draw_compass(ax: Axes, colour: str = "white", length: float = 0.12) -> None:
+    """North up and East to the left in the lower right corner; length in units of the panel."""
+    corner = (0.94, 0.06)
+    for (dx, dy), name in (((0.0, length), "N"), ((-length, 0.0), "E")):
+        tip = (corner[0] + dx, corner[1] + dy)
+        ax.annotate(
+            "",
+            tip,
+            corner,
+            "axes fraction",
+            "axes fraction",
+            arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.0, "shrinkA": 0, "shrinkB": 0},
+        )
+        label = (corner[0] + 1.35 * dx, corner[1] + 1.35 * dy)
+        ax.text(*label, name, transform=ax.transAxes, color=colour, ha="center", va="center", fontsize=8)
+
+
+def add_colour_bar(artist: ScalarMappable, axes: Axes | list[Axes], label: str) -> Colorbar:
+    """Colour bar as high as its panel, or to the right of a list of panels; the label carries the unit.
+
+    An end of the bar is pointed where the data go beyond it.
+    """
+    data: FloatArray = np.ma.compressed(np.ma.asarray(artist.get_array()))
+    low, high = artist.get_clim()
+    below, above = data.min() < low, data.max() > high
+    extend = {(0, 0): "neither", (1, 0): "min", (0, 1): "max", (1, 1): "both"}[int(below), int(above)]
+    if isinstance(axes, list):
+        bar = axes[0].figure.colorbar(artist, ax=axes, label=label, extend=extend, pad=0.02, aspect=30)
+    else:
+        inset = axes.inset_axes((1.03, 0.0, 0.05, 1.0))
+        bar = axes.figure.colorbar(artist, cax=inset, label=label, extend=extend)
+    if isinstance(artist.norm, AsinhNorm):
+        bar.set_ticks(_asinh_ticks(artist.norm.linear_width, low, high), minor=False)
+        bar.minorticks_off()
+        bar.ax.yaxis.set_major_formatter("{x:g}")
+    return bar
+
+
+def _asinh_ticks(linear_width: float, low: float, high: float) -> list[float]:
+    """0 and the powers of ten above the linear part of the scale, of both signs, within its limits."""
+    top = max(abs(low), abs(high))
+    decades = 10.0 ** np.arange(np.ceil(np.log10(linear_width)), np.floor(np.log10(top)) + 1.0)
+    ticks = np.concatenate([-decades[::-1], [0.0], decades])
+    return ticks[(ticks >= low) & (ticks <= high)].tolist()

@@ -1,0 +1,168 @@
+"""The perturber of the substructure scan, the rays it moves and the positions it is put at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from warmlens.imaging.shapelets import (
+    ShapeletSet,
+    add_basis,
+    n_coefficients,
+    pack_sets,
+    recurrence_factors,
+)
+from warmlens.lensing.rays import SmoothRays
+from warmlens.types import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Perturber:
+    """Clump with the deflection of a truncated isothermal sphere (Birrer+2017, sec. 4.1).
+
+    Attributes
+    ----------
+    theta_e
+        Deflection inside `r_trunc` [arcsec], > 0; 0.01 in the paper.
+    r_trunc
+        Truncation radius [arcsec], > 0; 0.1 in the paper.
+    """
+
+    theta_e: float
+    r_trunc: float
+
+    def __post_init__(self) -> None:
+        for name, value in (("theta_e", self.theta_e), ("r_trunc", self.r_trunc)):
+            if not (math.isfinite(value) and value > 0.0):
+                raise ValueError(f"perturber {name} must be a positive number of arcsec, got {value!r}")
+
+    @property
+    def reach(self) -> float:
+        """Radius beyond which nothing is deflected, 2 r_trunc [arcsec]."""
+        return 2.0 * self.r_trunc
+
+    def deflection(self, dx: FloatArray, dy: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Deflection (x, y) [arcsec] at offsets (dx, dy) [arcsec] from the clump, any common shape.
+
+        Radial, as for every mass, so zero by symmetry at the centre. The lens equation subtracts it.
+        """
+        dx, dy = np.broadcast_arrays(np.asarray(dx, dtype=np.float64), np.asarray(dy, dtype=np.float64))
+        ratio = _deflection_over_radius(np.hypot(dx, dy).ravel(), self.theta_e, self.r_trunc).reshape(dx.shape)
+        return ratio * dx, ratio * dy
+
+
+@njit(cache=True)
+def deflection_over_radius(radius: float, theta_e: float, r_trunc: float) -> float:
+    """|alpha_clump|(r) / r, for compiled callers; Birrer+2017, equation of sec. 4.1."""
+    if radius == 0.0 or radius >= 2.0 * r_trunc:
+        return 0.0
+    if radius <= r_trunc:
+        return theta_e / radius
+    return theta_e * (2.0 - radius / r_trunc) / radius
+
+
+@njit(cache=True)
+def _deflection_over_radius(radius: FloatArray, theta_e: float, r_trunc: float) -> FloatArray:
+    out = np.empty_like(radius)
+    for i in range(radius.size):
+        out[i] = deflection_over_radius(radius[i], theta_e, r_trunc)
+    return out
+
+
+class PerturbedBasis(NamedTuple):
+    """Source basis, smooth rays and perturber as the compiled kernels want them; see `perturbed_basis`."""
+
+    n_coef: int
+    packed: FloatArray
+    factors: FloatArray
+    theta_x: FloatArray
+    theta_y: FloatArray
+    source_x: FloatArray
+    source_y: FloatArray
+    theta_e: float
+    r_trunc: float
+
+
+def perturbed_basis(sets: Sequence[ShapeletSet], rays: SmoothRays, perturber: Perturber) -> PerturbedBasis:
+    """Bundle what `basis_change` needs at every position."""
+    return PerturbedBasis(
+        n_coefficients(sets),
+        pack_sets(sets),
+        recurrence_factors(sets),
+        rays.theta_x,
+        rays.theta_y,
+        rays.source_x,
+        rays.source_y,
+        perturber.theta_e,
+        perturber.r_trunc,
+    )
+
+
+@njit(cache=True)
+def basis_change(basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray) -> FloatArray:
+    """dB^T of SCAN.md [n_coef, m]: basis at the perturbed rays minus basis at the smooth rays.
+
+    For compiled callers; `moved` are the m pixels of a perturber at (center_x, center_y).
+    """
+    n_sub = basis.theta_x.shape[1]
+    x, y = np.empty((2 * n_sub, moved.size)), np.empty((2 * n_sub, moved.size))
+    weights = np.empty(2 * n_sub)
+    weights[:n_sub] = 1.0 / n_sub
+    weights[n_sub:] = -1.0 / n_sub
+    for i in range(moved.size):
+        for sub in range(n_sub):
+            dx, dy = basis.theta_x[moved[i], sub] - center_x, basis.theta_y[moved[i], sub] - center_y
+            ratio = deflection_over_radius(np.sqrt(dx * dx + dy * dy), basis.theta_e, basis.r_trunc)
+            smooth_x, smooth_y = basis.source_x[moved[i], sub], basis.source_y[moved[i], sub]
+            x[sub, i], y[sub, i] = smooth_x - ratio * dx, smooth_y - ratio * dy
+            x[n_sub + sub, i], y[n_sub + sub, i] = smooth_x, smooth_y
+    change = np.zeros((basis.n_coef, moved.size))
+    add_basis(basis.packed, basis.factors, x, y, weights, change)
+    return change
+
+
+@njit(cache=True)
+def moved_pixels(
+    theta_x: FloatArray, theta_y: FloatArray, unmasked: BoolArray, positions: FloatArray, reach: float
+) -> tuple[IntArray, IntArray]:
+    """Pixels with a sub-pixel ray that a perturber at each position moves, as CSR (offsets, pixels).
+
+    A position whose moved pixels are all masked (or off the image) gets none.
+    """
+    npix, n_sub = theta_x.shape
+    center_x, center_y = np.empty(npix), np.empty(npix)
+    largest = 0.0
+    for pixel in range(npix):
+        center_x[pixel], center_y[pixel] = theta_x[pixel].mean(), theta_y[pixel].mean()
+        for sub in range(n_sub):
+            dx, dy = theta_x[pixel, sub] - center_x[pixel], theta_y[pixel, sub] - center_y[pixel]
+            largest = max(largest, np.sqrt(dx * dx + dy * dy))
+    near = (reach + 1.001 * largest) ** 2  # beyond this no sub-pixel can be reached
+    n_positions = positions.shape[0]
+    offsets = np.zeros(n_positions + 1, dtype=np.int64)
+    pixels = np.empty(64 * n_positions + npix, dtype=np.int64)
+    for position in range(n_positions):
+        start = offsets[position]
+        stop = start
+        if pixels.size < start + npix:
+            pixels = np.concatenate((pixels, np.empty(pixels.size + npix, dtype=np.int64)))
+        any_unmasked = False
+        for pixel in range(npix):
+            dx, dy = center_x[pixel] - positions[position, 0], center_y[pixel] - positions[position, 1]
+            if dx * dx + dy * dy > near:
+                continue
+            for sub in range(n_sub):
+                dx = theta_x[pixel, sub] - positions[position, 0]
+                dy = theta_y[pixel, sub] - positions[position, 1]
+                if 0.0 < dx * dx + dy * dy < reach * reach:
+                    pixels[stop] = pixel
+                    stop += 1
+                    any_unmasked = any_unmasked or unmasked[pixel]
+                    break
+        offsets[position + 1] = stop if any_unmasked else start
+    return offsets, pixels[: offsets[n_positions]].copy()

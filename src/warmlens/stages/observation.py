@@ -1,0 +1,125 @@
+"""Stage `observation`: read the user's FITS images, or make the embedded simulated observation."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from warmlens.artifacts import Dataset, Provenance, write_artifact
+from warmlens.campaign import stream
+from warmlens.config import FitsBandBlock, SimulatedBandBlock, SimulatedBlock
+from warmlens.imaging.grid import PixelGrid
+from warmlens.imaging.mock import subpixel_field
+from warmlens.imaging.noise import NoiseModel
+from warmlens.imaging.observation import Band, Observation, checked_band
+from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
+from warmlens.imaging.source import SpiralSource
+from warmlens.lensing.macro_model import deflection
+from warmlens.lensing.substructure import filtered_deflection
+from warmlens.stages.deflections import check_field
+from warmlens.stages.fits_input import input_files, read_band
+from warmlens.stages.halos import geometry, halo_generator
+from warmlens.stages.products import observation_datasets
+from warmlens.stages.settings import ObservationSettings
+from warmlens.stages.smooth_model import lens_light_images
+from warmlens.types import FloatArray
+
+log = logging.getLogger(__name__)
+
+
+def run(settings: ObservationSettings, output: Path) -> None:
+    """Write the observation."""
+    block = settings.observation
+    if block.kind == "fits":
+        assert block.fits is not None  # config: kind fits comes with its block
+        blocks = {name: block.fits[name] for name in block.bands}
+        inputs = {f"{name}/{key}": path for name, b in blocks.items() for key, path in input_files(b).items()}
+        provenance = Provenance("observation", settings.as_dict(), inputs)
+        datasets, metadata = observation_datasets(read_fits(blocks))
+        extra: dict[str, Dataset] = {}
+    else:
+        provenance = Provenance("observation", settings.as_dict())
+        observation, extra = simulate(settings)
+        datasets, metadata = observation_datasets(observation)
+        assert block.simulated is not None
+        metadata["truth"] = block.simulated.truth.model_dump()
+    write_artifact(output, provenance, {**datasets, **extra}, metadata)
+
+
+def read_fits(blocks: dict[str, FitsBandBlock]) -> Observation:
+    """Read all bands; they must share one pixel grid."""
+    grids: list[PixelGrid] = []
+    bands: list[Band] = []
+    for name, block in blocks.items():
+        grid, band = read_band(name, block)
+        grids.append(grid)
+        bands.append(band)
+        if grid != grids[0]:
+            raise ValueError(
+                f"band {name} lies on other pixels than band {bands[0].name}: {grid} against {grids[0]}; "
+                "align the images (same shape, pixel scale, orientation and centre)"
+            )
+    return Observation("fits", grids[0], tuple(bands))
+
+
+def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Dataset]]:
+    """Make the simulated observation; the extra datasets hold its truth."""
+    block, halos, filters = settings.observation.simulated, settings.halos, settings.deflections
+    assert block is not None and halos is not None and filters is not None
+    assert settings.cosmology is not None and settings.redshifts is not None
+    grid = PixelGrid.centred(block.shape, block.pixel_scale_arcsec)
+    check_field(halos.field_half_width_arcsec, grid, filters.filter_arcsec)
+    truth = block.truth
+    realization = halo_generator(settings.cosmology, settings.redshifts, halos).draw(
+        truth.m_th_kev,
+        10.0**truth.log10_m_halo_msun,
+        halos.field_half_width_arcsec,
+        stream(truth.seed, "halos", 0),
+    )
+    _, lens = geometry(settings.cosmology, settings.redshifts)
+    delta = filtered_deflection(realization.subhalos, grid, lens, filters.filter_arcsec)
+    x, y = grid.subpixel_coordinates(block.supersampling)
+    alpha = deflection(block.lens.lens_model_list, block.lens.kwargs_lens, x, y)
+    rays = np.array([x, y]) - alpha - subpixel_field(delta, block.supersampling)
+    bands = tuple(
+        _simulated_band(name, block, block.bands[name], grid, rays) for name in settings.observation.bands
+    )
+    log.info("simulated %d bands with %d subhaloes", len(bands), len(realization.subhalos.m_bound))
+    extra = {
+        "truth/delta_alpha": Dataset(
+            delta, "arcsec", ("component", "y", "x"), "substructure of the truth: filtered deflection (x, y)"
+        )
+    }
+    return Observation("simulated", grid, bands), extra
+
+
+def _simulated_band(
+    name: str, block: SimulatedBlock, band: SimulatedBandBlock, grid: PixelGrid, rays: FloatArray
+) -> Band:
+    psf = hst_like_psf(band.wavelength_nm, grid.pixel_scale, block.psf_pixels)
+    convolution = Convolution(psf, grid.shape)
+    rng = stream(block.source.seed, "source", 0)
+    source = SpiralSource.draw(
+        block.source.center,
+        block.source.disc_scale_arcsec,
+        block.source.n_clumps,
+        block.source.clump_sigma_arcsec,
+        rng,
+    )
+    pixel_area = grid.pixel_scale**2
+    light = source.surface_brightness(rays[0], rays[1], band.source_flux, band.clump_flux_fraction)
+    arcs = light.mean(axis=-1).reshape(grid.shape) * pixel_area
+    galaxy = lens_light_images(block.lens_light, grid, block.supersampling)
+    galaxy = np.tensordot(band.lens_light_amplitudes, galaxy, axes=1)
+    quasars: Any = sum(
+        flux * point_source(psf, grid, qx, qy)
+        for flux, (qx, qy) in zip(band.quasar_fluxes, block.quasar_images, strict=True)
+    )
+    noise = NoiseModel(band.background_rms, band.exposure_s)
+    clean = convolution.forward(arcs + galaxy) + quasars + band.sky
+    image = noise.draw(clean, clean, stream(block.truth.seed, "observation", 0, name))
+    mask = np.ones(grid.shape, dtype=bool)
+    return checked_band(name, grid, image, noise.sigma(image), mask, psf, noise)

@@ -1,0 +1,74 @@
+"""Power spectrum and top-hat variance against colossus; warm concentrations against N-body fits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from warmlens.cosmology import Cosmology
+from warmlens.halos.concentration import ConcentrationRelation, FormationHistory
+from warmlens.halos.power_spectrum import cdm_power, half_mode_mass, sharp_k_variance, top_hat_sigma
+
+COSMOLOGY = Cosmology()
+
+
+@pytest.fixture(scope="module")
+def peer():
+    from colossus.cosmology.cosmology import Cosmology as Peer
+
+    return Peer(
+        name="peer",
+        flat=True,
+        H0=COSMOLOGY.H0,
+        Om0=COSMOLOGY.Om0,
+        Ob0=COSMOLOGY.Ob0,
+        sigma8=COSMOLOGY.sigma8,
+        ns=COSMOLOGY.ns,
+        Tcmb0=COSMOLOGY.Tcmb0,
+        relspecies=False,
+        persistence="",
+        power_law=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def spectrum():
+    return cdm_power(COSMOLOGY)
+
+
+def test_power_agrees_with_colossus(peer, spectrum):
+    inside = (spectrum.k_hmpc > 1e-3) & (spectrum.k_hmpc < 1e3)
+    k = spectrum.k_hmpc[inside][::50]
+    expected = peer.matterPowerSpectrum(k, model="eisenstein98_zb")
+    np.testing.assert_allclose(spectrum.power[inside][::50], expected, rtol=5e-4)
+
+
+def test_top_hat_sigma_agrees_with_colossus(peer, spectrum):
+    mass = 10.0 ** np.arange(6, 16)
+    radius = np.cbrt(3 * mass / (4 * math.pi * COSMOLOGY.mean_density_msun_mpc3)) * COSMOLOGY.h
+    expected = peer.sigma(radius, ps_args={"model": "eisenstein98_zb"})
+    np.testing.assert_allclose(top_hat_sigma(mass, spectrum, COSMOLOGY), expected, rtol=1e-3)
+
+
+def test_barrier_factor_is_the_ratio_of_the_filters(spectrum):
+    # Benson et al. 2013 raise the barrier by 1.197 to keep the mass function of massive haloes
+    mass = np.geomspace(1e14, 3e14, 5)
+    sharp = np.sqrt(sharp_k_variance(math.inf, spectrum, COSMOLOGY, 2.5).variance(mass))
+    np.testing.assert_allclose(sharp / top_hat_sigma(mass, spectrum, COSMOLOGY), 1.197, rtol=7e-3)
+
+
+@pytest.mark.parametrize(
+    ("m_th_kev", "tolerances"), [(2.0, (0.02, 0.05)), (3.3, (0.09, 0.13)), (5.0, (0.15, 0.19))]
+)
+def test_warm_concentrations_agree_with_schneider_2012(m_th_kev, tolerances, spectrum):
+    # (1 + 15 M_hm/M)^-0.3, a fit to N-body haloes: above M_hm, and down to half of it
+    relation = ConcentrationRelation()
+    formation = FormationHistory.of_cold_haloes(sharp_k_variance(math.inf, spectrum, COSMOLOGY, 2.5), 1e16)
+    warm = sharp_k_variance(m_th_kev, spectrum, COSMOLOGY, 2.5)
+    m_hm = half_mode_mass(m_th_kev, COSMOLOGY)
+    for low, high, tolerance in ((1.0, 300.0, tolerances[0]), (0.5, 1.0, tolerances[1])):
+        mass = m_hm * np.geomspace(low, high, 30)
+        ratio = relation(formation.matching_mass(warm, mass), 0.0) / relation(mass, 0.0)
+        np.testing.assert_allclose(ratio, (1 + 15 * m_hm / mass) ** -0.3, rtol=tolerance)

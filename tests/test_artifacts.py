@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+
+from warmlens import artifacts
+from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+
+
+def _datasets(value: float = 1.0) -> dict[str, Dataset]:
+    rng = np.random.default_rng(5)
+    return {
+        "group/maps": Dataset(rng.normal(size=(40, 20, 30)).astype(np.float32), "arcsec", ("n", "y", "x"), "maps"),
+        "numbers": Dataset(np.array([value, np.nan, np.inf]), "keV", ("n",), "numbers"),
+        "empty": Dataset(np.empty(0), "", ("n",), "nothing"),
+        "words": Dataset(["", "deux", "trois — ☉"], "", ("n",), "text"),
+    }
+
+
+def _write(path: Path, value: float = 1.0, metadata: dict[str, Any] | None = None) -> str:
+    return write_artifact(path, Provenance("halos", {"a": 1}, span=(0, 3)), _datasets(value), metadata or {})
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "folder/a.h5"
+    digest = _write(path, metadata={"bands": ["x"], "number": 1.5})
+    with open_artifact(path, "halos") as artifact:
+        assert artifact.digest == digest
+        assert artifact.metadata == {"bands": ["x"], "number": 1.5}
+        assert artifact.settings == {"a": 1}
+        assert artifact.span == (0, 3)
+        assert artifact.strings("words") == ["", "deux", "trois — ☉"]
+        for name, dataset in _datasets().items():
+            if not isinstance(dataset.data, list):
+                assert np.array_equal(artifact.array(name), dataset.data, equal_nan=True)
+                assert artifact.array(name).dtype == dataset.data.dtype
+                assert artifact[name].attrs["unit"] == dataset.unit
+    assert [item.name for item in path.parent.iterdir()] == ["a.h5"]
+
+
+def test_digest_is_of_the_content(tmp_path: Path) -> None:
+    first, again = _write(tmp_path / "a.h5"), _write(tmp_path / "b.h5")
+    assert first == again
+    assert _write(tmp_path / "c.h5", value=2.0) != first
+    assert _write(tmp_path / "d.h5", metadata={"note": 1}) != first
+
+
+def test_provenance(tmp_path: Path) -> None:
+    digest = _write(tmp_path / "in.h5")
+    (tmp_path / "in.fits").write_bytes(b"image")
+    inputs = {"one": tmp_path / "in.h5", "two": tmp_path / "in.fits"}
+    write_artifact(tmp_path / "sub/out.h5", Provenance("mocks", {}, inputs, seed_key="1/x"), {}, {})
+    with open_artifact(tmp_path / "sub/out.h5") as artifact:
+        assert artifact.inputs["one"] == {"path": "../in.h5", "digest": digest}
+        assert artifact.inputs["two"]["path"] == "../in.fits"
+        attrs = artifact.file.attrs
+        assert attrs["seed_key"] == "1/x"
+        assert {"package_version", "git_commit", "created_utc", "settings_sha256"} <= set(attrs)
+
+
+def test_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _write(tmp_path / "a.h5")
+    before = (tmp_path / "a.h5").read_bytes()
+
+    def full(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(artifacts.os, "fsync", full)
+    with pytest.raises(ArtifactError, match=r"a\.h5: could not be written: the disk is full"):
+        _write(tmp_path / "a.h5", value=3.0)
+    assert (tmp_path / "a.h5").read_bytes() == before
+    assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_flipped_bytes_are_never_a_number(tmp_path: Path) -> None:
+    """Every flip is an error, a changed digest, or lies in unused space: never silently other data."""
+    path = tmp_path / "a.h5"
+    _write(path)
+    intact = path.read_bytes()
+    expected = {name: data.data for name, data in _datasets().items() if name != "words"}
+    noticed = 0
+    for position in range(600, len(intact), len(intact) // 150):
+        damaged = bytearray(intact)
+        damaged[position] ^= 0xFF
+        path.write_bytes(damaged)
+        try:
+            with open_artifact(path, "halos") as artifact:
+                for name, data in expected.items():
+                    assert np.array_equal(artifact.array(name), data, equal_nan=True)
+        except (ArtifactError, OSError, KeyError, RuntimeError, ValueError, UnicodeDecodeError):
+            noticed += 1
+    assert noticed > 100
+
+
+def test_errors_name_the_file(tmp_path: Path) -> None:
+    with (
+        pytest.raises(ArtifactError, match=r"absent\.h5: no such artifact"),
+        open_artifact(tmp_path / "absent.h5"),
+    ):
+        pass
+    path = tmp_path / "a.h5"
+    _write(path)
+    with (
+        pytest.raises(ArtifactError, match="holds stage 'halos', expected 'mocks'"),
+        open_artifact(path, "mocks"),
+    ):
+        pass
+    with open_artifact(path) as artifact, pytest.raises(ArtifactError, match="has no dataset 'scan'"):
+        artifact.array("scan")
+    path.write_bytes(path.read_bytes()[:3000])
+    with pytest.raises(ArtifactError, match=r"a\.h5: not a readable HDF5 file"), open_artifact(path):
+        pass
+    with h5py.File(tmp_path / "other.h5", "w") as file:
+        file["x"] = 1
+    with pytest.raises(ArtifactError, match="not a warmlens artifact"), open_artifact(tmp_path / "other.h5"):
+        pass
+
+
+def test_axes_must_fit(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="2 dimensions, but axes"):
+        write_artifact(
+            tmp_path / "a.h5", Provenance("halos", {}), {"x": Dataset(np.ones((2, 2)), "", ("n",), "")}, {}
+        )
+    assert not list(tmp_path.iterdir())

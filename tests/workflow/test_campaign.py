@@ -1,0 +1,219 @@
+"""The whole DAG: complete, resumable, independent of cores, interruptions and chunks."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from warmlens.artifacts import open_artifact
+from warmlens.layout import FIGURES
+
+from .conftest import N_CHUNKED_STAGES, Project
+
+ABC = "results/tiny/abc.h5"
+
+
+def test_campaign_is_complete(finished: Project) -> None:
+    with open_artifact(finished.results / "abc.h5", "abc") as artifact:
+        meta = artifact.metadata
+        accepted = artifact.array("table/accepted")
+        m_th = artifact.array("table/m_th_kev")
+    assert meta["n_samples"] == 14
+    assert meta["n_failed"] == 0
+    assert accepted.sum() == meta["n_accepted"] == round(0.3 * 14)
+    bound = meta["bounds"][meta["headline"]]
+    assert bound["value_kev"] == m_th[accepted].min()  # the lowest 4.55% of 4 samples is the first of them
+    assert bound["prior_only_kev"] == pytest.approx(1.0 + 4.0 * 0.0455)
+    table = pd.read_csv(finished.results / "abc.csv")
+    assert np.array_equal(table["accepted"].to_numpy(), accepted.astype(bool))
+    for figure in FIGURES:
+        assert (finished.results / f"figures/{figure}.png").stat().st_size > 10_000
+
+
+def test_smooth_model_fits_the_simulated_observation(finished: Project) -> None:
+    with open_artifact(finished.results / "smooth_model.h5", "smooth_model") as artifact:
+        for fit in artifact.metadata["fits"].values():
+            assert 0.8 < fit["chi2_red"] < 2.0
+
+
+def test_result_audit_and_status(finished: Project) -> None:
+    shown = finished.warmlens("result", "results/tiny")
+    assert shown.returncode == 0, shown.stderr
+    assert "keV" in shown.stdout
+    assert "the prior alone gives 1.18 keV" in shown.stdout.replace("\n", " ")
+    audit = finished.warmlens("audit", "results/tiny")
+    assert audit.returncode == 0, audit.stdout + audit.stderr
+    status = finished.warmlens("status", "results/tiny", "--cores", "2")
+    assert "2 of 2" in status.stdout
+    assert "about 0 s left on 2 cores" in status.stdout
+
+
+def test_one_core_gives_the_same_digests(finished: Project, project: Project) -> None:
+    project.snakemake(ABC, cores=1)
+    assert project.digests() == finished.digests()
+
+
+def test_killed_campaign_resumes_to_the_same_digests(finished: Project, project: Project) -> None:
+    process = subprocess.Popen(
+        project.command(ABC, cores=2),
+        cwd=project.folder,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    deadline = time.monotonic() + 120.0
+    while not list(project.results.glob("deflections/*.h5")):
+        assert process.poll() is None, "the campaign ended before it could be killed"
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+    done_before = project.digests()
+    assert 0 < len(done_before) < len(finished.digests())
+    assert project.warmlens("audit", "results/tiny").returncode == 1
+    project.snakemake("--unlock")
+    project.snakemake(ABC, cores=2)
+    assert project.digests() == finished.digests()
+    assert not list(project.results.rglob(".*.tmp-*.h5")), "a partial file looks like an artifact"
+
+
+def test_chunk_size_changes_no_number(finished: Project, project: Project) -> None:
+    project.configure({"campaign": {"chunk_size": 50}})
+    project.snakemake(ABC, cores=2)
+
+    def rows(root: Path, stage: str, name: str) -> np.ndarray:
+        parts = []
+        for path in sorted((root / stage).glob("chunk-*.h5")):
+            with open_artifact(path, stage) as artifact:
+                parts.append(artifact.array(name))
+        return np.concatenate(parts)[:14]
+
+    for stage, name in (
+        ("halos", "samples/m_th_kev"),
+        ("halos", "halo/n_accreted"),
+        ("halos", "halo/f_sub"),
+        ("deflections", "delta_alpha"),
+        ("mocks", "F814W/image"),
+        ("mocks", "F555W/image"),
+    ):
+        small, large = rows(finished.results, stage, name), rows(project.results, stage, name)
+        assert np.array_equal(small, large), (stage, name)
+    masses = [_masses(root) for root in (finished.results, project.results)]
+    assert np.array_equal(masses[0], masses[1][: len(masses[0])])
+    for band in ("F814W", "F555W"):
+        small = rows(finished.results, "scans", f"{band}/delta_r")
+        large = rows(project.results, "scans", f"{band}/delta_r")
+        scale = np.abs(small).max(axis=(1, 2), keepdims=True)
+        assert np.max(np.abs(small - large) / scale) < 1e-9
+    first, second = (pd.read_csv(p.results / "abc.csv") for p in (finished, project))
+    assert np.array_equal(first["accepted"], second["accepted"])
+
+
+def _masses(root: Path) -> np.ndarray:
+    parts = []
+    for path in sorted((root / "halos").glob("chunk-*.h5")):
+        with open_artifact(path, "halos") as artifact:
+            parts.append(artifact.array("subhalos/m_bound"))
+    return np.concatenate(parts)
+
+
+class TestWhatIsRunAgain:
+    """Jobs of a dry run after a change."""
+
+    def test_nothing(self, finished: Project) -> None:
+        assert finished.planned() == {}
+
+    def test_more_samples(self, copy_of: Callable[[], Project]) -> None:
+        project = copy_of()
+        project.configure({"campaign": {"n_samples": 28}})
+        jobs = project.planned(ABC)
+        assert jobs == {
+            "halos": 2,
+            "deflections": 2,
+            "mocks": 2,
+            "scans": 2,
+            "summaries": 2,
+            "abc": 1,
+        }
+
+    def test_fewer_samples_than_the_chunk_holds(self, copy_of: Callable[[], Project]) -> None:
+        project = copy_of()
+        project.configure({"campaign": {"n_samples": 10}})
+        assert project.planned(ABC) == {"abc": 1}
+
+    def test_acceptance(self, copy_of: Callable[[], Project]) -> None:
+        project = copy_of()
+        project.configure({"abc": {"fraction": 0.5}})
+        assert project.planned() == {"abc": 1, "figure": 1, "all": 1}
+
+    def test_filter_of_the_deflections(self, copy_of: Callable[[], Project]) -> None:
+        project = copy_of()
+        project.configure({"deflections": {"filter_arcsec": 0.35}})
+        jobs = project.planned(ABC)
+        assert "halos" not in jobs
+        assert jobs["deflections"] == jobs["summaries"] == 2
+
+    def test_deleted_artifact_in_the_middle(self, copy_of: Callable[[], Project]) -> None:
+        project = copy_of()
+        next((project.results / "mocks").glob("*.h5")).unlink()
+        jobs = project.planned()
+        assert jobs["mocks"] == 1
+        assert "deflections" not in jobs
+
+    def test_every_stage_has_its_files_in_the_target(self, project: Project) -> None:
+        jobs = project.planned()
+        assert sum(jobs[stage] for stage in ("halos", "deflections", "mocks", "scans", "summaries")) == (
+            2 * N_CHUNKED_STAGES
+        )
+        assert jobs["scan_operator"] == 2
+        assert jobs["figure"] == len(FIGURES)
+
+
+def test_invalid_configuration_stops_before_any_job(project: Project) -> None:
+    project.configure(
+        {
+            "redshifts": {"source": 0.2},
+            "scan": {"step_arcsec": 0.0},
+            "smooth_model": {"source": {"n_max": -1}},
+            "abc": {"fractoin": 0.1},
+        }
+    )
+    done = project.snakemake(check=False)
+    assert done.returncode != 0
+    text = done.stdout + done.stderr
+    for key in ("redshifts:", "scan.step_arcsec:", "smooth_model.source.n_max:", "abc.fractoin: unknown key"):
+        assert sum(line.startswith(key) for line in text.splitlines()) == 1, text
+    assert not project.results.exists()
+
+
+def test_audit_names_an_altered_and_a_missing_artifact(copy_of: Callable[[], Project]) -> None:
+    project = copy_of()
+    altered = project.results / "summaries/chunk-0000000-0000007.h5"
+    missing = project.results / "mocks/chunk-0000007-0000014.h5"
+    missing.unlink()
+    import h5py
+
+    with h5py.File(altered, "r+") as file:
+        file["combined/n_below"][0] += 1.0
+    audit = project.warmlens("audit", "results/tiny")
+    assert audit.returncode == 1
+    assert f"{altered.relative_to(project.folder)}: altered" in audit.stdout
+    assert f"{missing.relative_to(project.folder)}: missing" in audit.stdout
+
+
+def test_abc_refuses_artifacts_of_other_settings(copy_of: Callable[[], Project]) -> None:
+    """As when Snakemake's records are lost and the configuration has changed: nothing stale is used."""
+    project = copy_of()
+    project.configure({"summaries": {"threshold": -3.0}})
+    (project.results / "abc.h5").unlink()
+    done = project.snakemake(ABC, "--rerun-triggers", "mtime", check=False)
+    assert done.returncode != 0
+    assert "made with other settings" in done.stdout + done.stderr

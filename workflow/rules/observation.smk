@@ -1,0 +1,30 @@
+def observation_files():
+    if CAMPAIGN.observation.kind == "simulated":
+        return []
+    from warmlens.stages.fits_input import input_files
+
+    try:
+        blocks = [CAMPAIGN.observation.fits[band] for band in CAMPAIGN.observation.bands]
+        return [str(path) for block in blocks for path in input_files(block).values()]
+    except ConfigError as error:
+        raise WorkflowError(str(error)) from None
+
+
+rule observation:
+    input:
+        observation_files(),
+    output:
+        ensure(single("observation"), non_empty=True),
+    params:
+        settings=settings("observation"),
+    log:
+        results("logs/observation.log"),
+    benchmark:
+        results("benchmarks/observation.tsv")
+    resources:
+        mem_mb=2000,
+        runtime=10,
+    message:
+        "observation: read or simulate the image"
+    shell:
+        "warmlens observation --params {params.settings:q} --output {output:q} > {log:q} 2>&1"
