@@ -7,10 +7,15 @@ from typing import Any
 
 import pytest
 
+from warmlens import runtime
 from warmlens.config import Config
 from warmlens.config_file import load_config
 
 ROOT = Path(__file__).parents[1]
+
+
+def pytest_configure() -> None:
+    runtime.prepare()  # before the tests import anything numerical
 
 
 @pytest.fixture(scope="session")

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Optional
 
 import typer
 
+from warmlens import runtime
+
 if TYPE_CHECKING:
     from warmlens.config import Config
 
@@ -243,9 +245,7 @@ def _load(overlays: list[Path] | None) -> Config:
 
 def main() -> None:
     """Run the command line; errors of the user or of an input end with a message, not with a traceback."""
-    from warmlens.threads import use_one_thread
-
-    use_one_thread()
+    runtime.prepare()  # before anything numerical is imported
     from warmlens.artifacts import ArtifactError
     from warmlens.config_file import ConfigError
 
@@ -255,7 +255,7 @@ def main() -> None:
     except (ConfigError, ArtifactError) as error:
         sys.exit(f"warmlens: {error}")
     except ValueError as error:
-        logging.getLogger("warmlens").debug("traceback", exc_info=True)
+        logging.exception("where it happened")
         sys.exit(f"warmlens: {error}")
 
 

@@ -92,7 +92,7 @@ def test_empty_column_is_named(parts):
     source, fixed, convolution, weights = parts
     dark = source.copy()
     dark[:, 4] = 0.0
-    with pytest.raises(ValueError, match=r"source column 4.*source\.n_max or source\.beta"):
+    with pytest.raises(ValueError, match=r"source column 4.*source\.n_max or smooth_model\.source\.beta_arcsec"):
         build_linear_model(dark, fixed, convolution, weights, RIDGE)
     only_masked = fixed.copy()
     only_masked[weights.ravel() > 0.0, 1] = 0.0
@@ -111,14 +111,14 @@ def test_non_finite_column_is_named(parts):
 def test_degenerate_columns_ask_for_a_larger_ridge(parts):
     source, fixed, convolution, weights = parts
     twins = np.hstack([fixed, fixed[:, :1]])
-    with pytest.raises(ValueError, match=r"degenerate.*raise fit\.ridge"):
+    with pytest.raises(ValueError, match=r"degenerate.*smooth_model\.ridge.*raise it"):
         build_linear_model(source, twins, convolution, weights, 1e-18)
     assert build_linear_model(source, twins, convolution, weights, RIDGE).design.shape[1] == 16
 
 
 @pytest.mark.parametrize("ridge", [0.0, -1e-8, np.nan])
 def test_impossible_ridge_is_refused(parts, ridge):
-    with pytest.raises(ValueError, match=r"fit\.ridge"):
+    with pytest.raises(ValueError, match=r"smooth_model\.ridge"):
         build_linear_model(*parts, ridge)
 
 

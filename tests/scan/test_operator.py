@@ -1,4 +1,4 @@
-"""Operator: the folded form against SCAN.md's formulas written out with dense matrices."""
+"""Operator: the folded form against docs/scan.md's formulas written out with dense matrices."""
 
 import dataclasses
 
@@ -57,7 +57,7 @@ def test_overlap_table_holds_products_of_whitened_psfs(band, dense_whitened_psf)
 
 
 def test_matrices_fold_the_formulas_of_the_note(band, shard, raster, dense_whitened_psf):
-    """-2 t.delta + delta.S delta - q.H q with S, Y, Z, Gam, T, H, q as written in SCAN.md."""
+    """-2 t.delta + delta.S delta - q.H q with S, Y, Z, Gam, T, H, q as written in docs/scan.md."""
     model = band.model
     rng = np.random.default_rng(3)
     checked = 0

@@ -23,7 +23,7 @@ from warmlens.scan.operator import build_shard, project_band
 from warmlens.scan.perturber import Perturber
 
 THETA_E, R_TRUNC = 0.01, 0.1
-TOLERANCE = 1e-4  # in units of chi2, SCAN.md "What must hold"
+TOLERANCE = 1e-4  # in units of chi2, docs/scan.md, "What is checked"
 
 
 def perturbed_source(rays, center):

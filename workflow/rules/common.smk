@@ -5,15 +5,15 @@ from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 
+from warmlens import runtime
 from warmlens.artifacts import canonical_json
 from warmlens.config_file import ConfigError, parse_config
 from warmlens.layout import CONFIG, FIGURES, SINGLE, TABLE, stage_files
 from warmlens.stages.settings import STAGES, stage_settings
-from warmlens.threads import use_one_thread
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-use_one_thread()
+runtime.prepare()
 
 try:
     CAMPAIGN = parse_config(config)

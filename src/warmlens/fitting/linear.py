@@ -1,6 +1,6 @@
 """The linear part of a fit of one band: coefficients of source, quasars and other fixed columns.
 
-J(x) = |d - A x|^2 + ridge |x|^2, with A = W P B (SCAN.md) and its columns scaled to unit norm. A does not
+J(x) = |d - A x|^2 + ridge |x|^2, with A = W P B (docs/scan.md) and its columns scaled to unit norm. A does not
 depend on the data, so its factorisation is made once and every image after that costs matrix products.
 """
 
@@ -144,7 +144,8 @@ def _check_columns(column_norms: FloatArray, n_source: int) -> None:
         raise ValueError(
             f"{empty.size} columns of the design matrix have no light on unmasked pixels, first: "
             f"{_describe(int(empty[0]), n_source)}; change smooth_model.source.n_max or "
-            "smooth_model.source.beta_arcsec so that the source basis covers the arcs, leave the fixed column out, or check the mask"
+            "smooth_model.source.beta_arcsec so that the source basis covers the arcs, leave the fixed "
+            "column out, or check the mask"
         )
 
 

@@ -51,7 +51,7 @@ def validate_psf(psf: FloatArray, name: str) -> FloatArray:
 
 
 class Convolution:
-    """P of SCAN.md: convolution of images of one shape with one kernel, zero outside the image.
+    """P of docs/scan.md: convolution of images of one shape with one kernel, zero outside the image.
 
     Parameters
     ----------

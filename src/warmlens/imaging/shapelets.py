@@ -100,7 +100,7 @@ def basis(sets: Sequence[ShapeletSet], x: FloatArray, y: FloatArray) -> FloatArr
 
 
 def pixel_basis(sets: Sequence[ShapeletSet], source_x: FloatArray, source_y: FloatArray) -> FloatArray:
-    """Every function averaged over the sub-pixels of each pixel: the columns B of SCAN's design matrix.
+    """Every function averaged over the sub-pixels of each pixel: the columns B of the design matrix.
 
     Parameters
     ----------

@@ -77,7 +77,7 @@ def max_rank(distances: FloatArray) -> IntArray:
     r
         [n], from 1 to n.
 
-    Reference: INFERENCE.md, "max-rank".
+    Reference: docs/decisions.md, "best 5%".
     """
     if distances.ndim != 2 or distances.shape[0] < 1:
         raise ValueError(f"distances must be [n_kinds, n], got shape {distances.shape}")
@@ -108,7 +108,7 @@ def accept_max_rank(
     rng
         Generator of the keys.
 
-    Reference: Birrer+2017 sec. 5 ("reside in the best 5% of the sample"); INFERENCE.md.
+    Reference: Birrer+2017 sec. 5 ("reside in the best 5% of the sample"); docs/decisions.md.
     """
     score = max_rank(distances)
     n = score.size

@@ -84,7 +84,7 @@ def _reached(level: FloatArray) -> FloatArray:
 
 
 def uniform_prior_bound(low_kev: float, high_kev: float, level: float) -> float:
-    """The bound that a uniform prior gives without data: 1.20, 1.18, 1.09 keV for U[1, 5] (INFERENCE.md)."""
+    """The bound that a uniform prior gives without data: 1.20, 1.18, 1.09 keV for U[1, 5]."""
     return low_kev + level * (high_kev - low_kev)
 
 
@@ -124,7 +124,7 @@ def lower_bounds(
     n_bootstrap
         Number of bootstrapped tables.
 
-    Reference: INFERENCE.md, "The bound".
+    Reference: docs/decisions.md, "Summaries and inference".
     """
     if not acceptance.n == m_kev.size == distances.shape[1]:
         raise ValueError(

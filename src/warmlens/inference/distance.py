@@ -38,7 +38,7 @@ def cumulative_distance(thresholds: FloatArray, first: FloatArray, second: Float
         N(< Delta R), [..., n_thresholds]; leading axes broadcast.
 
     Reference: the paper uses the cumulative distribution without defining its distance; to take the form of
-    d1 is this project's choice (INFERENCE.md).
+    d1 is this project's choice.
     """
     return _integrated_squared_difference("cumulative distribution", thresholds, first, second)
 

@@ -7,7 +7,7 @@ M_n = 4 pi rho_s r_s^3, called m(s), so that with the angle theta from the centr
     alpha = alpha_scale / r_s * [m(s) / s] * theta,    kappa = alpha_scale / r_s * dm/ds,
     alpha_scale = 4 rho_s r_s^2 / Sigma_cr  (as an angle; r_s here as an angle too).
 
-Reference: HALO_PHYSICS.md section 9.
+Reference: Baltz et al. 2009, n = 1; docs/halos.md, item 10.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def tnfw_deflection(
     The radial function of each subhalo is tabulated (cubic Hermite, exact values and slopes at the nodes);
     the error is below 2e-5 of the deflection itself.
 
-    Reference: Birrer+2017 sec. 3.2, alpha_dm; HALO_PHYSICS.md section 9.
+    Reference: Birrer+2017 sec. 3.2, alpha_dm; docs/halos.md, item 10.
     """
     rays_x, rays_y = _rays(x, y)
     subhaloes = _subhaloes(center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)

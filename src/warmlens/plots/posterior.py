@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from getdist import MCSamples
 
 MIN_FOR_DENSITY = 30
-REGIONS = (0.683, 0.954)  # probability inside the highest-density contours (INFERENCE.md)
+REGIONS = (0.683, 0.954)  # probability inside the highest-density contours
 COLOUR, LIGHT, EXCLUDED = "#1f5f8b", "#a9cbe0", "#c1403d"
 MASS_LABEL = r"$m_{\rm TH}$ [keV]"
 

@@ -43,7 +43,7 @@ def delta_r(
     source_coefficients: FloatArray,
     tau: FloatArray,
 ) -> FloatArray:
-    """Delta R = J_pert - J_smooth of every position and mock, one band (SCAN.md, no nested shapelets).
+    """Delta R = J_pert - J_smooth of every position and mock, one band (docs/scan.md, no nested shapelets).
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
 """The operator of the scan: what a perturber at a position does to any fit, built once per lens.
 
-Symbols are those of SCAN.md. Its Delta R at one position without nested shapelets,
+Symbols are those of docs/scan.md. Its Delta R at one position without nested shapelets,
 
     J_pert - J_smooth = -2 t.delta + delta.S delta - q.H q,
 

@@ -105,7 +105,7 @@ def perturbed_basis(sets: Sequence[ShapeletSet], rays: SmoothRays, perturber: Pe
 
 @njit(cache=True)
 def basis_change(basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray) -> FloatArray:
-    """dB^T of SCAN.md [n_coef, m]: basis at the perturbed rays minus basis at the smooth rays.
+    """dB^T of docs/scan.md [n_coef, m]: basis at the perturbed rays minus basis at the smooth rays.
 
     For compiled callers; `moved` are the m pixels of a perturber at (center_x, center_y).
     """

@@ -64,7 +64,7 @@ def cumulative_distribution(delta_r: FloatArray, valid: BoolArray, thresholds: F
     Parameters as in `counts_below`.
 
     Reference: Birrer+2017 sec. 5 names the cumulative distribution and does not define it; this one, over
-    Delta R < -4, is this project's choice (INFERENCE.md).
+    Delta R < -4, is this project's choice.
     """
     if not valid.any():
         raise ValueError("no position is valid")

@@ -1,0 +1,32 @@
+"""What must be set before the numerical libraries are imported."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from pathlib import Path
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+def prepare() -> None:
+    """One thread a process, and compiled kernels that belong to exactly this source code.
+
+    Parallelism is over jobs, and results do not depend on the number of cores. numba looks at the file of a
+    kernel when it reuses compiled code, not at the kernels that it calls in other files: a folder per version
+    of the sources rules out that a stale one is used. Children inherit both; variables that the user has set
+    are left alone.
+    """
+    for variable in _THREADS:
+        os.environ.setdefault(variable, "1")
+    cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(cache / "warmlens" / source_digest()[:16]))
+
+
+def source_digest() -> str:
+    """SHA-256 over the names and contents of all modules of the package."""
+    root = Path(__file__).parent
+    sha = hashlib.sha256()
+    for path in sorted(root.rglob("*.py")):
+        sha.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+    return sha.hexdigest()
