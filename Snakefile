@@ -29,3 +29,5 @@ rule all:
         [stage_files(CAMPAIGN, stage) for stage in STAGES],
         results(TABLE),
         expand(results("figures/{figure}.png"), figure=FIGURES),
+    message:
+        "all artifacts and figures are there"

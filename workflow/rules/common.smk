@@ -57,6 +57,7 @@ onstart:
     temporary = target.with_suffix(".json.tmp")
     temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
     temporary.replace(target)
+    print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 
 
 onsuccess:
