@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import errno
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -74,6 +75,21 @@ def test_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(ArtifactError, match=r"a\.h5: could not be written: the disk is full"):
         _write(tmp_path / "a.h5", value=3.0)
     assert (tmp_path / "a.h5").read_bytes() == before
+    assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_what_a_killed_job_left_is_removed(tmp_path: Path) -> None:
+    (tmp_path / ".tmp-123-a.h5").write_bytes(b"half")
+    _write(tmp_path / "a.h5")
+    assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
+
+
+def test_room_is_asked_for_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(artifacts.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6))
+    with pytest.raises(ArtifactError, match=r"the disk is full .*1 MiB free, 0 MiB needed"):
+        _write(tmp_path / "a.h5")
+    monkeypatch.undo()
+    _write(tmp_path / "a.h5")
     assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
 
 

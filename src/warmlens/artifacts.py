@@ -7,6 +7,7 @@ import errno
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import time
 from collections.abc import Iterator, Mapping
@@ -96,6 +97,7 @@ class Artifact:
         return [text.decode() for text in self.array(name)]
 
 
+_SPARE_BYTES = 2**20
 _REMEDY = "delete the file and run the campaign again: only it and what depends on it is made anew"
 
 
@@ -119,22 +121,50 @@ def write_artifact(
     ArtifactError
         If the disk is full or the folder cannot be written; no partial file is left.
     """
+    n_bytes = sum(item.data.nbytes for item in datasets.values() if not isinstance(item.data, list))
+    with atomic_path(path, n_bytes) as temporary:
+        return _write_file(temporary, provenance, datasets, metadata, path.parent)
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
+    """A temporary name beside `path` to write to; synced and renamed when all went well, removed otherwise.
+
+    Parameters
+    ----------
+    path
+        File to make.
+    n_bytes
+        About how large it will be. Room is asked for first: HDF5 ends badly on a disk that fills up under it.
+
+    Raises
+    ------
+    ArtifactError
+        If there is no room, or the file cannot be written.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.tmp-{os.getpid()}")
+    for abandoned in path.parent.glob(f".tmp-*-{path.name}"):  # of a killed job
+        abandoned.unlink()
+    temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")
     try:
-        digest = _write_file(temporary, provenance, datasets, metadata, path.parent)
+        free = shutil.disk_usage(path.parent).free
+        if free < n_bytes + _SPARE_BYTES:
+            raise OSError(errno.ENOSPC, f"{free / 2**20:.0f} MiB free, {n_bytes / 2**20:.0f} MiB needed")
+        yield temporary
         with temporary.open("rb") as handle:
             os.fsync(handle.fileno())
         temporary.replace(path)
-    except OSError as error:
-        reason = "the disk is full" if error.errno == errno.ENOSPC else str(error)
+    except (OSError, RuntimeError) as error:  # h5py reports a failed flush as RuntimeError
+        if isinstance(error, ArtifactError):
+            raise
+        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
+        reason = f"the disk is full ({error})" if full else str(error)
         raise ArtifactError(
             f"{path}: could not be written: {reason}. Finished artifacts are intact; "
             "make room and start the campaign again"
         ) from error
     finally:
         temporary.unlink(missing_ok=True)
-    return digest
 
 
 def _write_file(

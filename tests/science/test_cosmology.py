@@ -12,24 +12,6 @@ COSMOLOGY = Cosmology()
 REDSHIFTS = np.array([0.0, 0.1, 0.295, 0.658, 1.0, 2.0, 5.0, 10.0, 20.0])
 
 
-@pytest.fixture(scope="module")
-def peer():
-    from colossus.cosmology.cosmology import Cosmology as Peer
-
-    return Peer(
-        name="peer",
-        flat=True,
-        H0=COSMOLOGY.H0,
-        Om0=COSMOLOGY.Om0,
-        Ob0=COSMOLOGY.Ob0,
-        sigma8=COSMOLOGY.sigma8,
-        ns=COSMOLOGY.ns,
-        Tcmb0=COSMOLOGY.Tcmb0,
-        relspecies=False,
-        persistence="",
-    )
-
-
 def test_growth_agrees_with_colossus(peer):
     np.testing.assert_allclose(COSMOLOGY.growth(REDSHIFTS), peer.growthFactor(REDSHIFTS), rtol=1e-4)
 

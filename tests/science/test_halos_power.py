@@ -15,25 +15,6 @@ COSMOLOGY = Cosmology()
 
 
 @pytest.fixture(scope="module")
-def peer():
-    from colossus.cosmology.cosmology import Cosmology as Peer
-
-    return Peer(
-        name="peer",
-        flat=True,
-        H0=COSMOLOGY.H0,
-        Om0=COSMOLOGY.Om0,
-        Ob0=COSMOLOGY.Ob0,
-        sigma8=COSMOLOGY.sigma8,
-        ns=COSMOLOGY.ns,
-        Tcmb0=COSMOLOGY.Tcmb0,
-        relspecies=False,
-        persistence="",
-        power_law=False,
-    )
-
-
-@pytest.fixture(scope="module")
 def spectrum():
     return cdm_power(COSMOLOGY)
 

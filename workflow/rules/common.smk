@@ -1,12 +1,13 @@
 # Configuration, paths and what every rule shares.
 import os
+import shlex
 import sys
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 
 from warmlens import runtime
-from warmlens.artifacts import canonical_json
+from warmlens.artifacts import atomic_path, canonical_json
 from warmlens.config_file import ConfigError, parse_config
 from warmlens.layout import CONFIG, FIGURES, SINGLE, TABLE, stage_files
 from warmlens.stages.settings import STAGES, stage_settings
@@ -48,21 +49,18 @@ def settings(stage):
 
 
 def repeated(option, paths):
-    return " ".join(f"--{option} {path!r}" for path in map(str, paths))
+    return " ".join(f"--{option} {shlex.quote(str(path))}" for path in paths)
 
 
 onstart:
-    target = Path(results(CONFIG))
-    target.parent.mkdir(parents=True, exist_ok=True)
-    temporary = target.with_suffix(".json.tmp")
-    temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
-    temporary.replace(target)
+    with atomic_path(Path(results(CONFIG))) as temporary:
+        temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 
 
 onsuccess:
     if Path(single("abc")).exists():
-        shell(f"warmlens result {CAMPAIGN.results!r}")
+        shell(f"warmlens result {shlex.quote(CAMPAIGN.results)}")
 
 
 onerror:

@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from warmlens.artifacts import Artifact, ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts import (
+    Artifact,
+    ArtifactError,
+    Dataset,
+    Provenance,
+    atomic_path,
+    open_artifact,
+    write_artifact,
+)
 from warmlens.audit import check_chain
 from warmlens.campaign import stream
 from warmlens.inference.acceptance import Acceptance, accept_max_rank
@@ -79,9 +87,8 @@ def run(
         "warnings": warnings,
     }
     write_artifact(output, provenance, _datasets(table), metadata)
-    temporary = table_csv.with_suffix(".csv.tmp")
-    table.to_csv(temporary, index=False)
-    temporary.replace(table_csv)
+    with atomic_path(table_csv) as temporary:
+        table.to_csv(temporary, index=False)
 
 
 def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:

@@ -13,7 +13,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
-from warmlens.artifacts import Artifact, ArtifactError, open_artifact
+from warmlens.artifacts import Artifact, ArtifactError, atomic_path, open_artifact
 from warmlens.config import CosmologyBlock, RedshiftBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.inference.bound import Bound
@@ -41,11 +41,9 @@ def run(name: str, inputs: Inputs, output: Path) -> None:
     """Draw figure `name` from the artifacts given by stage and write it as PNG."""
     with house_style():
         figure = _FIGURES[name](inputs)
-        temporary = output.with_name(f".{output.name}.tmp.png")
-        output.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(temporary)
+        with atomic_path(output) as temporary:
+            figure.savefig(temporary)
         plt.close(figure)
-    temporary.replace(output)
 
 
 def _smooth_model(inputs: Inputs) -> Figure:

@@ -66,11 +66,12 @@ def _read_image(path: Path, extension: int) -> tuple[FloatArray, fits.Header]:
     if not path.is_file():
         raise ValueError(f"{path}: no such file; correct the path under observation.fits")
     try:
-        with warnings.catch_warnings(), fits.open(path, memmap=False) as hdus:
+        with warnings.catch_warnings():
             warnings.filterwarnings("error", message="File may have been truncated")
-            n_extensions = len(hdus)
-            data = hdus[extension].data if extension < n_extensions else None
-            header = hdus[extension].header if extension < n_extensions else fits.Header()
+            with fits.open(path, memmap=False) as hdus:
+                n_extensions = len(hdus)
+                data = hdus[extension].data if extension < n_extensions else None
+                header = hdus[extension].header if extension < n_extensions else fits.Header()
     except (OSError, TypeError, ValueError, AstropyUserWarning) as error:
         raise ValueError(f"{path}: not a readable FITS file, or truncated ({error})") from error
     if extension >= n_extensions:

@@ -121,8 +121,9 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
     simulated = c.observation.kind == "simulated"
     match stage:
         case "observation":
+            other = "fits" if simulated else "simulated"
             return ObservationSettings(
-                observation=c.observation,
+                observation=c.observation.model_copy(update={other: None}),
                 cosmology=c.cosmology if simulated else None,
                 redshifts=c.redshifts if simulated else None,
                 halos=c.halos if simulated else None,

@@ -80,7 +80,7 @@ def fixed_columns(block: SmoothModelBlock, grid: PixelGrid, band: Band, convolut
     background = [np.ones(grid.shape)] if block.fit_background else []
     names = [f"quasar_{i}" for i in range(len(quasars))]
     names += [f"light_{i}" for i in range(len(light))] + ["background"] * len(background)
-    images = np.array([*quasars, *light, *background]).reshape(len(names), -1).T
+    images = np.array([*quasars, *light, *background]).reshape(len(names), grid.ny * grid.nx).T
     return FixedColumns(tuple(names), np.ascontiguousarray(images), len(quasars))
 
 

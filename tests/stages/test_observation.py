@@ -1,0 +1,119 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from warmlens.artifacts import open_artifact
+from warmlens.campaign import stream
+from warmlens.config import Config
+from warmlens.config_file import load_config, parse_config
+from warmlens.imaging.grid import PixelGrid
+from warmlens.imaging.psf import fwhm
+from warmlens.lensing.substructure import filtered_deflection, required_half_width
+from warmlens.stages import observation, smooth_model
+from warmlens.stages.halos import geometry, halo_generator
+from warmlens.stages.products import read_observation, read_smooth_model
+from warmlens.stages.settings import stage_settings
+
+ROOT = Path(__file__).parents[2]
+SIMULATED = [[], ["demo"], ["ci"]]
+
+
+@pytest.fixture(scope="module")
+def ci() -> Config:
+    return load_config([ROOT / "config.yaml", ROOT / "workflow/configs/ci.yaml"])
+
+
+@pytest.fixture(scope="module")
+def simulated(ci: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("observation") / "observation.h5"
+    observation.run(stage_settings(ci, "observation"), path)
+    return path
+
+
+def test_substructure_is_drawn_by_the_halo_stage(ci: Config, simulated: Path) -> None:
+    truth = ci.observation.simulated.truth
+    realization = halo_generator(ci.cosmology, ci.redshifts, ci.halos).draw(
+        truth.m_th_kev,
+        10**truth.log10_m_halo_msun,
+        ci.halos.field_half_width_arcsec,
+        stream(truth.seed, "halos", 0),
+    )
+    _, lens = geometry(ci.cosmology, ci.redshifts)
+    observed = read_observation(simulated)
+    with open_artifact(simulated) as artifact:
+        assert artifact.metadata["truth"] == truth.model_dump()
+        stored = artifact.array("truth/delta_alpha")
+    expected = filtered_deflection(realization.subhalos, observed.grid, lens, ci.deflections.filter_arcsec)
+    assert np.array_equal(stored, expected)
+    assert np.abs(stored).max() > 1e-4
+
+
+def test_bands(simulated: Path) -> None:
+    observed = read_observation(simulated)
+    red, blue = observed.bands
+    assert (red.name, blue.name) == ("F814W", "F555W")
+    assert fwhm(blue.psf, 0.05) < fwhm(red.psf, 0.05)
+    corner = slice(0, 15), slice(-15, None)  # neighbours there differ by noise alone
+    pull = np.diff(red.image[corner], axis=1) / (np.sqrt(2.0) * red.sigma[corner][:, 1:])
+    assert pull.std() == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * pull.size))
+    assert not np.array_equal(red.image, blue.image)
+
+
+def test_same_input_same_digest(ci: Config, simulated: Path, tmp_path: Path) -> None:
+    observation.run(stage_settings(ci, "observation"), tmp_path / "again.h5")
+    with open_artifact(simulated) as first, open_artifact(tmp_path / "again.h5") as second:
+        assert first.digest == second.digest
+
+
+def test_smooth_model_reaches_the_noise(ci: Config, simulated: Path, tmp_path: Path) -> None:
+    smooth_model.run(stage_settings(ci, "smooth_model"), simulated, tmp_path / "smooth.h5")
+    model = read_smooth_model(tmp_path / "smooth.h5")
+    for name, fit in model.fits.items():
+        assert fit.chi2_red < 1.3, name
+        fluxes = ci.observation.simulated.bands[name].quasar_fluxes
+        np.testing.assert_allclose(fit.fixed_coefficients[:4], fluxes, rtol=0.02)
+
+
+def test_nothing_but_a_source(ci: Config, tmp_path: Path) -> None:
+    """No quasars, no lens light, no background: still an observation and a model."""
+    raw = ci.model_dump()
+    nothing = {"lens_light_model_list": [], "kwargs_lens_light": []}
+    raw["observation"]["simulated"].update(quasar_images=[], lens_light=nothing)
+    for band in raw["observation"]["simulated"]["bands"].values():
+        band.update(quasar_fluxes=[], lens_light_amplitudes=[], sky=0.0)
+    raw["smooth_model"].update(quasar_images=[], lens_light=nothing, fit_background=False)
+    config = parse_config(raw)
+    observation.run(stage_settings(config, "observation"), tmp_path / "o.h5")
+    smooth_model.run(stage_settings(config, "smooth_model"), tmp_path / "o.h5", tmp_path / "s.h5")
+    model = read_smooth_model(tmp_path / "s.h5")
+    assert model.names == ()
+    assert all(fit.chi2_red < 1.3 for fit in model.fits.values())
+
+
+def test_supersampling_converges(ci: Config, tmp_path: Path) -> None:
+    """Source, light and perturbation on 2 x 2 sub-pixels: the same quasars, chi2 near 1."""
+    raw = ci.model_dump()
+    raw["observation"]["simulated"]["supersampling"] = 2
+    raw["smooth_model"]["source"]["supersampling"] = 2
+    config = parse_config(raw)
+    observation.run(stage_settings(config, "observation"), tmp_path / "o.h5")
+    smooth_model.run(stage_settings(config, "smooth_model"), tmp_path / "o.h5", tmp_path / "s.h5")
+    assert all(fit.chi2_red < 1.3 for fit in read_smooth_model(tmp_path / "s.h5").fits.values())
+
+
+@pytest.mark.parametrize("overlays", SIMULATED, ids=lambda names: "-".join(names) or "paper")
+def test_fields_of_subhaloes_reach_beyond_the_images(overlays: list[str]) -> None:
+    config = load_config([ROOT / "config.yaml", *(ROOT / f"workflow/configs/{name}.yaml" for name in overlays)])
+    block = config.observation.simulated
+    grid = PixelGrid.centred(block.shape, block.pixel_scale_arcsec)
+    assert config.halos.field_half_width_arcsec >= required_half_width(grid, config.deflections.filter_arcsec)
+
+
+def test_a_field_that_is_too_small(ci: Config, tmp_path: Path) -> None:
+    raw = ci.model_dump()
+    raw["halos"]["field_half_width_arcsec"] = 3.0
+    with pytest.raises(ValueError, match=r"halos\.field_half_width_arcsec = 3 is too small.* reach 3\.70"):
+        observation.run(stage_settings(parse_config(raw), "observation"), tmp_path / "o.h5")
