@@ -14,19 +14,21 @@ def prepare() -> None:
 
     Parallelism is over jobs, and results do not depend on the number of cores. numba looks at the file of a
     kernel when it reuses compiled code, not at the kernels that it calls in other files: a folder per version
-    of the sources rules out that a stale one is used. Children inherit both; variables that the user has set
+    of the kernels rules out that a stale one is used. Children inherit both; variables that the user has set
     are left alone.
     """
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
     cache = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
-    os.environ.setdefault("NUMBA_CACHE_DIR", str(cache / "warmlens" / source_digest()[:16]))
+    os.environ.setdefault("NUMBA_CACHE_DIR", str(cache / "warmlens" / kernel_digest()[:16]))
 
 
-def source_digest() -> str:
-    """SHA-256 over the names and contents of all modules of the package."""
+def kernel_digest() -> str:
+    """SHA-256 over the names and contents of all modules of the package that hold compiled kernels."""
     root = Path(__file__).parent
     sha = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):
-        sha.update(str(path.relative_to(root)).encode() + b"\0" + path.read_bytes())
+        content = path.read_bytes()
+        if b"njit" in content:
+            sha.update(str(path.relative_to(root)).encode() + b"\0" + content)
     return sha.hexdigest()
