@@ -97,7 +97,7 @@ def test_layers_are_merged_and_lists_replaced(tmp_path: Path) -> None:
     overlay.write_text("scan: {step_arcsec: 0.1}\nobservation: {bands: [F555W]}\n")
     config = load_config([ROOT / "config.yaml", overlay])
     assert config.scan.step_arcsec == 0.1
-    assert config.scan.window_arcsec == (4.0, 4.0)
+    assert config.scan.window_arcsec == (5.0, 5.0)
     assert config.observation.bands == ["F555W"]
 
 

@@ -100,3 +100,12 @@ def test_masked_neighbourhood_moves_nothing():
     assert offsets[1] == 0
     assert unmasked[pixels].any()
     assert not unmasked[pixels].all()  # masked pixels shine on unmasked ones: they belong to the change
+
+
+def test_inside_the_truncation_it_is_lenstronomys_isothermal_sphere():
+    from lenstronomy.LensModel.Profiles.sis import SIS
+
+    rng = np.random.default_rng(3)
+    radius, angle = 0.1 * np.sqrt(rng.random(50)), 2.0 * np.pi * rng.random(50)
+    dx, dy = radius * np.cos(angle), radius * np.sin(angle)
+    np.testing.assert_allclose(Perturber(0.01, 0.1).deflection(dx, dy), SIS().derivatives(dx, dy, 0.01), atol=1e-9)

@@ -194,6 +194,32 @@ def test_invalid_configuration_stops_before_any_job(project: Project) -> None:
     assert not project.results.exists()
 
 
+def test_failed_samples_are_carried_to_the_table_and_left_out(copy_of: Callable[[], Project]) -> None:
+    """Haloes below twice the resolution of a very warm relic cannot be drawn: those samples fail, others go on."""
+    project = copy_of()
+    prior = {"m_th_kev": [0.2, 1.0], "log10_m_halo_msun": [10.0, 10.3]}
+    project.configure({"dark_matter": prior, "abc": {"max_failed_fraction": 0.9}})
+    project.snakemake(ABC)
+    table = pd.read_csv(project.results / "abc.csv")
+    failed = table["status"] > 0
+    too_warm = table["m_th_kev"] < 0.4  # twice M_J = 3.2e10 Msun there, more than any host
+    assert too_warm.any()
+    assert failed[too_warm].all()
+    assert not failed.all()
+    assert not table.loc[failed, "accepted"].any()
+    assert table.loc[failed, "distance_correlation"].isna().all()
+    assert (
+        table.loc[failed, "message"].str.contains("halos: ValueError: m_halo_msun must be finite and exceed").all()
+    )
+    with open_artifact(project.results / "abc.h5", "abc") as artifact:
+        assert artifact.metadata["n_failed"] == failed.sum()
+    assert f"{failed.sum()} of 14 samples failed" in project.warmlens("result", "results/tiny").stdout
+    project.configure({"dark_matter": prior, "abc": {"max_failed_fraction": 0.1}})
+    done = project.snakemake(ABC, check=False)
+    assert done.returncode != 0
+    assert "more than abc.max_failed_fraction = 0.1 allows" in done.stdout + done.stderr
+
+
 def test_audit_names_an_altered_and_a_missing_artifact(copy_of: Callable[[], Project]) -> None:
     project = copy_of()
     altered = project.results / "summaries/chunk-0000000-0000007.h5"

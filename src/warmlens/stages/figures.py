@@ -57,7 +57,7 @@ def _smooth_model(inputs: Inputs) -> Figure:
         image = np.where(band.mask, band.image, np.nan)
         limits = _brightness_limits(image)
         data = draw_image(row[0], image, observed.grid, "asinh", limits)
-        draw_image(row[1], fit.model, observed.grid, "asinh", limits)
+        draw_image(row[1], np.where(band.mask, fit.model, np.nan), observed.grid, "asinh", limits)
         residual = (image - fit.model) / np.where(band.mask, fit.sigma, 1.0)
         shown = draw_diverging(row[2], residual, observed.grid, _RESIDUAL_LIMIT)
         row[0].set_title(f"{band.name} observed")
