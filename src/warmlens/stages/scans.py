@@ -66,20 +66,27 @@ class Scanner:
         fit = solve(linear, np.ascontiguousarray(whitened))
         coefficients = physical_coefficients(linear, fit.coefficients)[: linear.n_source]
         tau = residual_images(fit, convolution, band.weights)
-        maps, valid = [], []
+        maps, valid, positions = [], [], []
         start = time.monotonic()
         for count, path in enumerate(self._shards, start=1):
             with open_artifact(path, "scan_operator") as artifact:
                 shard = read_shard(artifact, name)
             maps.append(delta_r(shard, self.model.sets, self.model.rays, self._perturber, coefficients, tau))
             valid.append(np.diff(shard.pixel_offsets) > 0)
+            positions.append(shard.positions)
             left = (time.monotonic() - start) / count * (len(self._shards) - count)
             log.info("%s: shard %d of %d, %.0f s left", name, count, len(self._shards), left)
-        ny, nx = self._raster.shape
-        everything = np.concatenate(maps)
-        if everything.shape[0] != ny * nx:
-            raise ArtifactError(f"the shards hold {everything.shape[0]} positions, the raster {ny * nx}")
-        return everything.T.reshape(len(images), ny, nx), fit.chi2, np.concatenate(valid).reshape(ny, nx)
+        if not np.array_equal(np.concatenate(positions), self._raster.coordinates()):
+            raise ArtifactError(
+                f"{self._shards[0].parent}: the shards do not hold the positions of the raster; "
+                "delete the folder and run the campaign again"
+            )
+        shape = self._raster.shape
+        return (
+            np.concatenate(maps).T.reshape(len(images), *shape),
+            fit.chi2,
+            np.concatenate(valid).reshape(shape),
+        )
 
     def raster_datasets(self, valid: BoolArray) -> dict[str, Dataset]:
         """Where the maps' positions lie, and which of them a perturber can be seen at."""
