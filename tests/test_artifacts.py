@@ -79,7 +79,7 @@ def test_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 def test_what_a_killed_job_left_is_removed(tmp_path: Path) -> None:
-    (tmp_path / ".tmp-123-a.h5").write_bytes(b"half")
+    (tmp_path / ".a.h5.tmp-123").write_bytes(b"half")
     _write(tmp_path / "a.h5")
     assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
 

@@ -143,9 +143,9 @@ def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
         If there is no room, or the file cannot be written.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    for abandoned in path.parent.glob(f".tmp-*-{path.name}"):  # of a killed job
+    for abandoned in path.parent.glob(f".{path.name}.tmp-*"):  # of a killed job
         abandoned.unlink()
-    temporary = path.with_name(f".tmp-{os.getpid()}-{path.name}")
+    temporary = path.with_name(f".{path.name}.tmp-{os.getpid()}")  # no name that a pattern *.h5 would match
     try:
         free = shutil.disk_usage(path.parent).free
         if free < n_bytes + _SPARE_BYTES:

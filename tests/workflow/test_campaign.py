@@ -82,7 +82,7 @@ def test_killed_campaign_resumes_to_the_same_digests(finished: Project, project:
     project.snakemake("--unlock")
     project.snakemake(ABC, cores=2)
     assert project.digests() == finished.digests()
-    assert not list(project.results.rglob(".tmp-*")), "a partial file looks like an artifact"
+    assert not list(project.results.rglob(".*.tmp-*")), "a partial file looks like an artifact"
 
 
 def test_chunk_size_changes_no_number(finished: Project, project: Project) -> None:

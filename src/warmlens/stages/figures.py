@@ -42,7 +42,7 @@ def run(name: str, inputs: Inputs, output: Path) -> None:
     with house_style():
         figure = _FIGURES[name](inputs)
         with atomic_path(output) as temporary:
-            figure.savefig(temporary)
+            figure.savefig(temporary, format="png")
         plt.close(figure)
 
 
