@@ -66,6 +66,9 @@ def _changed(raw: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("campaign.chunks", 3, "campaign.chunks", "unknown key"),
         ("halos.tau_dyn", "jvdb16", "halos", "preset: custom"),
         ("halos.preset", "best", "halos.preset", "'paper', 'calibrated' or 'custom'"),
+        ("halos.branching", "pch09", "halos.branching", "one of pch08, benson17, pch_plus or four numbers"),
+        ("halos.branching", [0.57, 0.38, -0.01], "halos.branching", "four numbers"),
+        ("halos.transfer_function", "viel", "halos.transfer_function", "'viel05', 'bode01' or 'vogel23'"),
         ("cosmology.Ob0", 0.4, "cosmology", "must be below Om0"),
         ("observation.bands", ["F814W", "F160W"], "observation", "F160W"),
         ("observation.kind", "fits", "observation", "needs the block 'fits'"),
@@ -81,6 +84,12 @@ def test_impossible_values(paper: dict[str, Any], key: str, value: Any, reported
         parse_config(_changed(paper, key, value))
     assert len(error.value.problems) == 1
     assert error.value.problems[0].startswith(f"{reported}: ")
+
+
+def test_branching_by_name_or_numbers(paper: dict[str, Any]) -> None:
+    for value in ("benson17", [0.6, 0.3, 0.0, 0.1]):
+        stored = parse_config(_changed(paper, "halos.branching", value)).halos.branching
+        assert stored == (tuple(value) if isinstance(value, list) else value)
 
 
 def test_every_problem_has_its_line(paper: dict[str, Any]) -> None:

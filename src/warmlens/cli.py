@@ -27,6 +27,10 @@ ConfigFiles = Annotated[
     Optional[list[Path]],  # noqa: UP045 (typer reads the annotation at run time)
     typer.Option("--configfile", help="Overlays on config.yaml, later ones win."),
 ]
+Artifacts = Annotated[
+    Optional[list[str]],  # noqa: UP045
+    typer.Option(help="stage=path of an input; repeat the option."),
+]
 Results = Annotated[Path, typer.Argument(help="Results folder of a campaign.")]
 
 
@@ -165,14 +169,23 @@ def abc(
 
 @app.command()
 def figure(
-    name: Annotated[str, typer.Argument(help="Which figure.")],
-    artifact: Annotated[list[str], typer.Option(help="stage=path of an input; repeat the option.")],
+    name: Annotated[
+        str, typer.Argument(help="Of a campaign's figure, or 1 or 8: the paper's, without a campaign.")
+    ],
     output: Output,
+    artifact: Artifacts = None,
+    configfile: ConfigFiles = None,
 ) -> None:
-    """Draw one figure of the campaign."""
-    from warmlens.stages import figures as stage
+    """Draw one figure of a campaign from its artifacts, or one of the paper from the configuration."""
+    if name in ("1", "8"):
+        from warmlens.stages import paper_figures
 
-    stage.run(name, {key: Path(path) for key, _, path in (item.partition("=") for item in artifact)}, output)
+        paper_figures.run(name, _load(configfile), output)
+        return
+    from warmlens.stages import figures
+
+    inputs = {key: Path(path) for key, _, path in (item.partition("=") for item in artifact or [])}
+    figures.run(name, inputs, output)
 
 
 @app.command()

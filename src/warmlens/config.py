@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -19,6 +19,18 @@ def _ascending(value: tuple[float, float]) -> tuple[float, float]:
     if not value[0] < value[1]:
         raise ValueError(f"the lower end {value[0]:g} must be below the upper end {value[1]:g}")
     return value
+
+
+BRANCHING_SETS = ("pch08", "benson17", "pch_plus")
+
+
+def _branching(value: object) -> object:
+    numbers = (
+        isinstance(value, list | tuple) and len(value) == 4 and all(isinstance(v, int | float) for v in value)
+    )
+    if value not in BRANCHING_SETS and not numbers:
+        raise ValueError(f"must be one of {', '.join(BRANCHING_SETS)} or four numbers, got {value!r}")
+    return tuple(value) if isinstance(value, list) else value
 
 
 Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
@@ -89,10 +101,11 @@ class HalosBlock(Block):
 
     preset: Literal["paper", "calibrated", "custom"]
     tau_dyn: Literal["paper", "jvdb16"] | None = None
-    positions: Literal["nfw_host", "nfw_infall"] | None = None
+    positions: Literal["nfw_host", "nfw_infall", "orbit_infall"] | None = None
+    transfer_function: Literal["viel05", "bode01", "vogel23"]
     field_half_width_arcsec: Positive
     min_mass_msun: Positive
-    branching: tuple[Positive, Finite, Finite]
+    branching: Annotated[str | tuple[float, float, float, float], BeforeValidator(_branching)]
     sharp_k_a: Positive
     barrier_factor: Positive
     stripping_amplitude: NonNegative
@@ -100,6 +113,8 @@ class HalosBlock(Block):
     friction_amplitude: NonNegative
     friction_mass_slope: Finite
     friction_circularity_slope: Finite
+    concentration: Literal["paper", "duffy08"]
+    concentration_scatter_dex: NonNegative
     concentration_amplitude: Positive
     concentration_mass_slope: Finite
     concentration_redshift_slope: Finite

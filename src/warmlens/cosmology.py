@@ -75,11 +75,11 @@ class Cosmology:
 
     def expansion(self, z: FloatArray | float) -> FloatArray:
         """H(z)/H0."""
-        return np.sqrt(self.Om0 * (1.0 + np.asarray(z, dtype=np.float64)) ** 3 + self.Ode0)
+        return np.sqrt(self.Om0 * _one_plus(z) ** 3 + self.Ode0)
 
     def matter_density(self, z: FloatArray | float) -> FloatArray:
         """Density of matter at z in units of the critical density at z."""
-        return self.Om0 * (1.0 + np.asarray(z, dtype=np.float64)) ** 3 / self.expansion(z) ** 2
+        return self.Om0 * _one_plus(z) ** 3 / self.expansion(z) ** 2
 
     def critical_density(self, z: FloatArray | float) -> FloatArray:
         """Critical density at z [Msun/kpc^3, physical]."""
@@ -89,7 +89,7 @@ class Cosmology:
     def age(self, z: FloatArray | float) -> FloatArray:
         """Age of the universe at z [Gyr]."""
         dark_to_matter = math.sqrt(self.Ode0 / self.Om0)
-        phase = np.arcsinh(dark_to_matter * (1.0 + np.asarray(z, dtype=np.float64)) ** -1.5)
+        phase = np.arcsinh(dark_to_matter * _one_plus(z) ** -1.5)
         return HUBBLE_TIME_GYR_KMS_MPC / self.H0 * 2.0 / (3.0 * math.sqrt(self.Ode0)) * phase
 
     def growth(self, z: FloatArray | float) -> FloatArray:
@@ -100,7 +100,7 @@ class Cosmology:
         from scipy.special import hyp2f1
 
         ratio = self.Ode0 / self.Om0
-        a = 1.0 / (1.0 + np.asarray(z, dtype=np.float64))
+        a = 1.0 / _one_plus(z)
         unnormalised = a * hyp2f1(1.0 / 3.0, 1.0, 11.0 / 6.0, -ratio * a**3)
         return unnormalised / hyp2f1(1.0 / 3.0, 1.0, 11.0 / 6.0, -ratio)
 
@@ -132,6 +132,13 @@ class Cosmology:
     def _clock_table(self) -> tuple[FloatArray, FloatArray]:
         ln_one_plus_z = np.linspace(0.0, math.log1p(_CLOCK_Z_MAX), _CLOCK_POINTS)
         return np.log(self.collapse_clock(np.expm1(ln_one_plus_z))), ln_one_plus_z
+
+
+def _one_plus(z: FloatArray | float) -> FloatArray:
+    one_plus_z = 1.0 + np.asarray(z, dtype=np.float64)
+    if not np.all(one_plus_z > 0.0):
+        raise ValueError(f"z must be > -1, got {float(np.min(z))!r}")
+    return one_plus_z
 
 
 @dataclass(frozen=True)

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from warmlens.halos.dark_matter import ThermalRelic
 from warmlens.halos.population import MASS_BINS, VMAX_BINS, HaloGenerator, HaloModel
 from warmlens.halos.profiles import nfw_norm, tnfw_total_mass
 
@@ -143,8 +144,9 @@ def test_without_stripping_and_friction_everything_survives(generator, cosmology
 
 
 def test_resolution_is_the_larger_of_floor_and_jeans_mass(generator):
-    assert generator.resolution(math.inf) == 1e8
-    assert generator.resolution(1.0) == pytest.approx(4.094e8, rel=1e-3)
+    resolution = generator.population.resolution_msun
+    assert resolution(generator.dark_matter(math.inf)) == 1e8
+    assert resolution(generator.dark_matter(1.0)) == pytest.approx(4.094e8, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -166,21 +168,32 @@ def test_impossible_arguments_are_errors(arguments, message, generator):
         draw(generator, **arguments)
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"tau_dyn": "other"}, 'tau_dyn must be "paper" or "jvdb16", got'),
-        ({"positions": "orbit"}, 'positions must be "nfw_host" or "nfw_infall", got'),
-        ({"min_mass_msun": 0.0}, "min_mass_msun must be finite and > 0"),
-        ({"stripping_amplitude": -1.0}, "stripping_amplitude must be finite and >= 0"),
-        ({"sharp_k_a": math.nan}, "sharp_k_a must be finite and > 0"),
-    ],
-)
-def test_impossible_models_are_errors(change, message):
-    with pytest.raises(ValueError, match=message):
-        HaloModel(**change)
+def test_limit_of_1_gev_is_cold_to_rounding_of_the_break(generator):
+    # alpha k < 1e-4 at the smallest scale of the tables: r_T = 1 - 4e-9
+    cold, heavy = draw(generator), draw(generator, m_th_kev=1e6)
+    assert cold.n_accreted == heavy.n_accreted
+    for name, values in columns(cold).items():
+        np.testing.assert_allclose(columns(heavy)[name], values, rtol=1e-5, err_msg=name)
 
 
-def test_tree_must_start_before_it_ends(cosmology, geometry):
-    with pytest.raises(ValueError, match=r"z_max must exceed z_lens = 0\.295, got 0\.2"):
-        HaloGenerator(cosmology, geometry, HaloModel(z_max=0.2))
+def test_any_dark_matter_can_be_drawn(generator, cosmology):
+    relic = ThermalRelic(3.0, cosmology)
+    general = generator.draw_model(relic, 1e13, WHOLE_HALO_ARCSEC, np.random.default_rng(1))
+    assert_identical(draw(generator, m_th_kev=3.0), general)
+
+
+def test_transfer_function_of_the_model_is_that_of_its_relics(generator, cosmology, geometry):
+    model = dataclasses.replace(generator.model, transfer_function="vogel23")
+    other = HaloGenerator(cosmology, geometry, model)
+    assert other.dark_matter(3.0) == ThermalRelic(3.0, cosmology, "vogel23")
+    assert draw(other, m_th_kev=3.0).n_accreted != draw(generator, m_th_kev=3.0).n_accreted
+    assert_identical(draw(other), draw(generator))  # cold dark matter has none
+
+
+def test_sky_positions_are_projected_radii(generator, geometry):
+    r = draw(generator)
+    halo = generator.population.draw(generator.dark_matter(math.inf), 1e13, np.random.default_rng(1))
+    np.testing.assert_array_equal(r.subhalos.m_bound, halo.m_bound)
+    distance = np.hypot(r.subhalos.x_arcsec, r.subhalos.y_arcsec) * geometry.kpc_per_arcsec
+    assert np.all(distance <= halo.radius_kpc * (1 + 1e-12))
+    assert r.f_sub == halo.f_sub

@@ -6,14 +6,8 @@ import numpy as np
 import pytest
 
 from warmlens.halos import power_spectrum
-from warmlens.halos.power_spectrum import (
-    half_mode_mass,
-    half_mode_wavelength,
-    sharp_k_variance,
-    top_hat_sigma,
-    viel_alpha,
-    wdm_transfer,
-)
+from warmlens.halos.dark_matter import dark_matter
+from warmlens.halos.power_spectrum import filtered_variance, top_hat_sigma
 
 DECADES = 10.0 ** np.arange(6, 16)
 SIGMA_TOP_HAT = [8.4527, 7.2428, 6.0912, 5.0075, 4.0030, 3.0909, 2.2848, 1.5958, 1.0321, 0.6006]
@@ -26,14 +20,6 @@ SIGMA_SHARP_K = {
     10.0: [7.6409, 7.3970, 6.5674, 5.5111, 4.4658, 3.4952, 2.6231, 1.8645, 1.2294, 0.7269],
 }
 SLOPE_COLD = [0.0606, 0.0675, 0.0759, 0.0861, 0.0989, 0.1149, 0.1353, 0.1626, 0.2016, 0.2580]
-# keV: alpha [Mpc/h], half-mode mass [Msun]
-VIEL = {
-    1.0: (0.048743, 2.069e10),
-    2.0: (0.022582, 2.057e9),
-    3.3: (0.012953, 3.882e8),
-    5.0: (0.0081668, 9.732e7),
-    10.0: (0.0037837, 9.677e6),
-}
 
 
 def test_cold_power_matches_reference_values(spectrum):
@@ -55,20 +41,20 @@ def test_top_hat_sigma_matches_reference_values(cosmology, spectrum):
 
 @pytest.mark.parametrize("m_th_kev", SIGMA_SHARP_K)
 def test_sharp_k_sigma_matches_reference_values(m_th_kev, cosmology, spectrum):
-    table = sharp_k_variance(m_th_kev, spectrum, cosmology, 2.5)
+    table = filtered_variance(dark_matter(m_th_kev, cosmology).transfer, spectrum, cosmology, 2.5)
     np.testing.assert_allclose(np.sqrt(table.variance(DECADES)), SIGMA_SHARP_K[m_th_kev], rtol=1e-3)
 
 
 def test_sharp_k_slope_matches_reference_values(cosmology, spectrum):
-    cold = sharp_k_variance(math.inf, spectrum, cosmology, 2.5)
+    cold = filtered_variance(dark_matter(math.inf, cosmology).transfer, spectrum, cosmology, 2.5)
     np.testing.assert_allclose(cold.log_slope(DECADES), SLOPE_COLD, rtol=2e-3)
-    warm = sharp_k_variance(2.0, spectrum, cosmology, 2.5)
+    warm = filtered_variance(dark_matter(2.0, cosmology).transfer, spectrum, cosmology, 2.5)
     np.testing.assert_allclose(warm.log_slope(np.array([1e8, 1e9, 1e10])), [3.24e-4, 0.02622, 0.07987], rtol=2e-3)
 
 
 @pytest.mark.parametrize("m_th_kev", [math.inf, 2.0])
 def test_slope_is_the_derivative_of_sigma(m_th_kev, cosmology, spectrum):
-    table = sharp_k_variance(m_th_kev, spectrum, cosmology, 2.5)
+    table = filtered_variance(dark_matter(m_th_kev, cosmology).transfer, spectrum, cosmology, 2.5)
     mass = np.geomspace(1e9, 1e15, 25)
     step = 1.05
     numerical = -0.5 * np.log(table.variance(mass * step) / table.variance(mass / step)) / (2 * np.log(step))
@@ -78,41 +64,23 @@ def test_slope_is_the_derivative_of_sigma(m_th_kev, cosmology, spectrum):
 def test_grid_is_fine_enough(cosmology, spectrum, monkeypatch):
     mass = np.geomspace(1e5, 1e15, 301)
     for m_th_kev in (1.0, 5.0, math.inf):
-        coarse = sharp_k_variance(m_th_kev, spectrum, cosmology, 2.5)
+        coarse = filtered_variance(dark_matter(m_th_kev, cosmology).transfer, spectrum, cosmology, 2.5)
         with monkeypatch.context() as patch:
             patch.setattr(power_spectrum, "_K_POINTS", 50_001)
-            fine = sharp_k_variance(m_th_kev, power_spectrum.cdm_power(cosmology), cosmology, 2.5)
+            fine = filtered_variance(
+                dark_matter(m_th_kev, cosmology).transfer, power_spectrum.cdm_power(cosmology), cosmology, 2.5
+            )
         np.testing.assert_allclose(coarse.variance(mass), fine.variance(mass), rtol=1e-5)
         massive = mass[fine.log_slope(mass) > 1e-6]
         np.testing.assert_allclose(coarse.log_slope(massive), fine.log_slope(massive), rtol=2e-3)
 
 
-@pytest.mark.parametrize("m_th_kev", VIEL)
-def test_half_mode_scales_match_reference_values(m_th_kev, cosmology):
-    alpha, mass = VIEL[m_th_kev]
-    assert viel_alpha(m_th_kev, cosmology) == pytest.approx(alpha, rel=3e-5)
-    assert half_mode_mass(m_th_kev, cosmology) == pytest.approx(mass, rel=5e-4)
-
-
-def test_half_mode_is_where_the_amplitude_is_half():
-    alpha = 0.02
-    k = 2 * math.pi / half_mode_wavelength(alpha)
-    assert wdm_transfer(np.array([k]), alpha)[0] == pytest.approx(0.5, rel=1e-12)
-
-
-def test_half_mode_wavelength_agrees_with_schneider_2012():
-    assert half_mode_wavelength(1.0) == pytest.approx(13.93, abs=0.01)
-
-
-def test_infinite_mass_is_cold(cosmology, spectrum):
-    assert viel_alpha(math.inf, cosmology) == 0.0
-    assert half_mode_mass(math.inf, cosmology) == 0.0
-    np.testing.assert_array_equal(wdm_transfer(spectrum.k_hmpc, 0.0), 1.0)
-
-
 def test_variance_falls_with_mass_and_grows_with_particle_mass(cosmology, spectrum):
     mass = np.geomspace(1e6, 1e15, 100)
-    variances = [sharp_k_variance(m, spectrum, cosmology, 2.5).variance(mass) for m in (1.0, 3.0, math.inf)]
+    variances = [
+        filtered_variance(dark_matter(m, cosmology).transfer, spectrum, cosmology, 2.5).variance(mass)
+        for m in (1.0, 3.0, math.inf)
+    ]
     for variance in variances:
         assert np.all(np.diff(variance) <= 0)  # flat to the last digit far below the half-mode mass
         assert np.all(np.diff(variance[mass > 1e9]) < 0)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.stats import beta, kstest
 
 from warmlens.halos.stripping import TidalField, draw_circularity, friction_ln_a, loss_per_efold
 
@@ -117,3 +118,5 @@ def test_circularities_follow_zentner_2005():
     np.testing.assert_allclose(
         np.percentile(eta, [5, 16, 50, 84, 95]), [0.1494, 0.2655, 0.5, 0.7345, 0.8506], atol=4e-3
     )
+    assert kstest(eta, beta(2.22, 2.22).cdf).pvalue > 0.01
+    assert kstest(eta, beta(2.12, 2.12).cdf).pvalue < 1e-4

@@ -8,7 +8,13 @@ import pytest
 from matplotlib.colors import AsinhNorm, LogNorm
 
 from warmlens.imaging.grid import PixelGrid
-from warmlens.plots.halo_maps import density_limits, draw_deflection_panels, draw_halo_map, draw_halo_panels
+from warmlens.plots.halo_maps import (
+    density_limits,
+    draw_deflection_panels,
+    draw_halo_grid,
+    draw_halo_map,
+    draw_halo_panels,
+)
 from warmlens.plots.sky import add_colour_bar, draw_compass, draw_diverging, draw_image
 from warmlens.plots.style import house_style
 
@@ -139,4 +145,21 @@ def test_panels_share_a_scale_and_carry_their_titles(draw, unit):
     assert len({artist.get_clim() for artist in artists}) == 1
     assert unit in figure.axes[-1].get_ylabel()
     assert len(figure.axes) == 7  # six panels and one colour bar
+    plt.close(figure)
+
+
+def test_grid_has_a_scale_per_halo_mass_and_a_column_per_relic():
+    maps = [[IMAGE * (1 + column) * 10**row for column in range(3)] for row in range(2)]
+    with house_style():
+        figure, axes = plt.subplots(2, 3)
+        artists = draw_halo_grid(axes, maps, GRID, [1.0, 2.5, 5.0], [13.0, 13.5])
+        figure.canvas.draw()
+    for row in range(2):
+        assert len({artist.get_clim() for artist in artists[row]}) == 1
+        assert artists[row][0].get_clim()[1] == 23.0 * 3 * 10**row
+        for column in range(3):
+            assert artists[row][column].axes is axes[row, column]
+            np.testing.assert_array_equal(artists[row][column].get_array(), maps[row][column])
+    assert [ax.get_title() for ax in axes[0]] == ["1 keV", "2.5 keV", "5 keV"]
+    assert "13.5" in axes[1, 0].texts[0].get_text()
     plt.close(figure)

@@ -34,11 +34,28 @@ class ConcentrationRelation:
     pivot_msun: float = 2.0e12
     minimum: float = 1.5
 
+    @classmethod
+    def duffy08(cls, h: float, minimum: float) -> ConcentrationRelation:
+        """Relation of all haloes, 0 < z < 2 (Duffy et al. 2008, table 1, NFW, M200); pivot 2e12 Msun/h."""
+        return cls(5.71, -0.084, -0.47, 2.0e12 / h, minimum)
+
     def __call__(self, mass_msun: FloatArray | float, z: FloatArray | float) -> FloatArray:
         """Concentration of cold haloes of mass M200c [Msun] at redshift z; shapes broadcast."""
         mass_term = (np.asarray(mass_msun) / self.pivot_msun) ** self.mass_slope
         redshift_term = (1.0 + np.asarray(z)) ** self.redshift_slope
         return np.maximum(self.amplitude * mass_term * redshift_term, self.minimum)
+
+
+def scatter_concentration(
+    median: FloatArray, scatter_dex: float, minimum: float, rng: np.random.Generator
+) -> FloatArray:
+    """Concentrations with log-normal scatter [dex] about the median, raised to the minimum.
+
+    Without scatter no random number is drawn.
+    """
+    if scatter_dex == 0.0:
+        return median
+    return np.maximum(median * 10.0 ** (scatter_dex * rng.standard_normal(median.shape)), minimum)
 
 
 @dataclass(frozen=True)

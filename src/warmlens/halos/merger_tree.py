@@ -1,23 +1,34 @@
-"""Merger trees: the trunk of a halo, followed into the past, and what it accreted."""
+"""Merger trees: a halo followed into the past, along its trunk or along every branch."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 from numba import njit
 
-from warmlens.halos.barrier import barrier_ratio
 from warmlens.halos.power_spectrum import SharpKVariance
-from warmlens.types import FloatArray
+from warmlens.halos.tree_walk import walk_all, walk_branch
+from warmlens.types import FloatArray, IntArray
+
+Branching = tuple[float, float, float, float]
+
+# (G0, gamma1, gamma2, gamma3) of the branching rate: Parkinson, Cole & Helly 2008; Benson 2017; "PCH+" of
+# Benson et al. 2021, the last as the public code SatGen carries it.
+BRANCHING: Mapping[str, Branching] = MappingProxyType(
+    {
+        "pch08": (0.57, 0.38, -0.01, 0.0),
+        "benson17": (0.6353, 0.1761, 0.0411, 0.0),
+        "pch_plus": (0.943, -0.158, 0.0488, 0.202),
+    }
+)
 
 _ROWS = 512
 _STEP_BARRIER = 0.1  # eps_1 of Parkinson, Cole & Helly 2008
-_STEP_BRANCHING = 0.1  # eps_2
-_MAX_SMOOTH = 0.5  # largest share of the mass that a step accretes smoothly
 _FLAT = 1.0e-10  # relative gain of variance below which a halo has no progenitors
-_TRUNK_RESOLUTION = 5.0e-4  # change of ln M between stored points of the trunk
 
 
 @dataclass(frozen=True)
@@ -71,6 +82,9 @@ class MergerTree:
         Collapse clock w (ascending) and mass of the trunk; what lies between varies by < 0.05%.
     m_acc_msun, host_mass_msun, clock_acc
         Of each accreted halo: its mass, the mass of the trunk just before, and w of the accretion.
+    smooth_mass_msun
+        Mass that the trunk accreted below the resolution: with the accreted haloes and the last mass of the
+        trunk it makes up the root, to rounding.
     steps
         Number of steps taken.
     """
@@ -80,6 +94,7 @@ class MergerTree:
     m_acc_msun: FloatArray
     host_mass_msun: FloatArray
     clock_acc: FloatArray
+    smooth_mass_msun: float
     steps: int
 
     @property
@@ -89,21 +104,53 @@ class MergerTree:
         return float(np.interp(-half, -np.log(self.trunk_mass_msun), self.trunk_clock))
 
 
-def smooth_integral(u: FloatArray, gamma1: float) -> FloatArray:
-    """J(u) = int_0^u (1 + 1/v^2)^(gamma1/2) dv, for gamma1 < 1 (Parkinson, Cole & Helly 2008, appendix A)."""
+@dataclass(frozen=True)
+class AllOrderTree:
+    """A halo with every branch above the resolution, one entry each; entry 0 is the root.
+
+    Attributes
+    ----------
+    m_acc_msun, clock_acc
+        Mass and collapse clock w of the accretion; of the root, where the tree starts.
+    host_mass_msun
+        Mass of the parent branch just before the accretion (further back in time); nan for the root.
+    m_end_msun
+        Mass at the earliest time, or where the branch could not branch any more.
+    smooth_mass_msun
+        Mass that the branch accreted below the resolution.
+    order, parent
+        Order (1: accreted by the trunk) and entry of the branch that accreted it; 0 and -1 for the root.
+        Parents come before their branches.
+    """
+
+    m_acc_msun: FloatArray
+    host_mass_msun: FloatArray
+    clock_acc: FloatArray
+    m_end_msun: FloatArray
+    smooth_mass_msun: FloatArray
+    order: IntArray
+    parent: IntArray
+
+
+def smooth_integral(u: FloatArray, gamma1: float, gamma3: float) -> FloatArray:
+    """J(u) = int_0^u (1 + 1/v^2)^(gamma1/2) (1 + v^2)^-gamma3 dv, any shape, for gamma1 < 1.
+
+    With v = sigma2/sqrt(S1 - S2) the factors are those of the branching rate: 1 + 1/v^2 = S1/S2 and
+    1 + v^2 = 1/(1 - S2/S1). Reference: Parkinson, Cole & Helly 2008, appendix A, where gamma3 = 0.
+    """
     from scipy.special import hyp2f1
 
     half = 0.5 * (1.0 - gamma1)
-    return u ** (1.0 - gamma1) / (1.0 - gamma1) * hyp2f1(-0.5 * gamma1, half, half + 1.0, -(u**2))
+    return u ** (1.0 - gamma1) / (1.0 - gamma1) * hyp2f1(gamma3 - 0.5 * gamma1, half, half + 1.0, -(u**2))
 
 
 def branching_table(
     variance: SharpKVariance,
     root_mass_msun: float,
     resolution_msun: float,
-    branching: tuple[float, float, float],
+    branching: Branching,
     barrier_factor: float,
-    jeans_mass_msun: float,
+    barrier_ratio: Callable[[FloatArray], FloatArray],
 ) -> BranchingTable:
     """Integrate the branching rate of Parkinson, Cole & Helly 2008 for all parents of a tree.
 
@@ -114,22 +161,23 @@ def branching_table(
     root_mass_msun, resolution_msun
         Mass of the root and smallest mass that is followed [Msun].
     branching
-        (G0, gamma1, gamma2), with gamma1 < 1.
+        (G0, gamma1, gamma2, gamma3), with gamma1 < 1; see `BRANCHING`.
     barrier_factor
         Factor of the collapse threshold that goes with the sharp-k filter (Benson et al. 2013).
-    jeans_mass_msun
-        Effective Jeans mass of the warm dark matter [Msun]; 0 for cold.
+    barrier_ratio
+        Threshold of collapse as a function of mass [Msun], in units of that of cold dark matter.
 
     Notes
     -----
-    The rate dN/dq = sqrt(2/pi) S1/(S1-S2)^1.5 alpha(M1) q^-2 G0 (sigma1/sigma2)^gamma1 is integrated as
-    it is, so the table is exact for any S(M), also one that flattens, and no branching is rejected.
+    The rate dN/dq = sqrt(2/pi) S1/(S1-S2)^1.5 alpha(M1) q^-2 G0 (sigma1/sigma2)^gamma1 (1-S2/S1)^gamma3 is
+    integrated as it is, so the table is exact for any S(M), also one that flattens, and no branching is
+    rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
     """
     if not root_mass_msun > 2.0 * resolution_msun > 0.0:
         raise ValueError(
             f"root_mass_msun must exceed twice resolution_msun = {resolution_msun!r}, got {root_mass_msun!r}"
         )
-    g0, gamma1, gamma2 = branching
+    g0, gamma1, gamma2, gamma3 = branching
     if not gamma1 < 1.0:
         raise ValueError(f"gamma1 of branching must be < 1, got {gamma1!r}")
     step = math.log(0.5 * root_mass_msun / resolution_msun) / (_ROWS - 1)
@@ -143,13 +191,16 @@ def branching_table(
 
     norm = math.sqrt(2.0 / math.pi) * g0
     weight = variance.log_slope(progenitor) * s_half ** (1.0 + 0.5 * gamma1) / progenitor
-    cumulative = _accumulate(weight, s_half, s_parent, norm * parent * sigma**-gamma1, first_row, step)
+    factor = norm * parent * sigma**-gamma1
+    cumulative = _accumulate(weight, s_half, s_parent, factor, gamma3, first_row, step)
     smooth, max_step = np.zeros(_ROWS), np.zeros(_ROWS)
     used = slice(first_row, None)
     u_res = sigma[used] / np.sqrt(s_res - s_parent[used])
-    smooth[used] = norm * smooth_integral(u_res, gamma1) / sigma[used]  # PCH08 appendix A, per unit of omega
+    smooth[used] = (
+        norm * smooth_integral(u_res, gamma1, gamma3) / sigma[used]
+    )  # PCH08 appendix A, per unit of omega
     max_step[used] = _STEP_BARRIER * np.sqrt(2.0 * (s_half[used] - s_parent[used]))
-    barrier = barrier_factor * barrier_ratio(parent, jeans_mass_msun)
+    barrier = barrier_factor * barrier_ratio(parent)
     return BranchingTable(
         math.log(resolution_msun), step, first_row, cumulative, smooth, max_step, sigma, barrier, gamma2
     )
@@ -172,22 +223,8 @@ def grow_tree(table: BranchingTable, clock_root: float, clock_end: float, rng: n
     At a branching the heavier progenitor continues the trunk, the lighter one is a subhalo. The trunk
     ends at clock_end or where it cannot branch any more (2 M_res, or monolithic collapse).
     """
-    span = table.step * (table.smooth.size - 1)
-    capacity = 2 * math.ceil(span / _TRUNK_RESOLUTION) + 8
-    trunk, accreted, steps = _walk(
-        rng,
-        clock_root,
-        clock_end,
-        table.ln_resolution,
-        table.step,
-        table.first_row,
-        table.cumulative,
-        table.smooth,
-        table.max_step,
-        table.sigma,
-        table.barrier,
-        table.gamma2,
-        capacity,
+    trunk, accreted, smooth_mass, steps = walk_branch(
+        rng, clock_root, clock_end, _ln_root(table), False, _arguments(table)
     )
     return MergerTree(
         trunk_clock=trunk[0].copy(),
@@ -195,123 +232,46 @@ def grow_tree(table: BranchingTable, clock_root: float, clock_end: float, rng: n
         m_acc_msun=accreted[0].copy(),
         host_mass_msun=accreted[1].copy(),
         clock_acc=accreted[2].copy(),
+        smooth_mass_msun=smooth_mass,
         steps=steps,
     )
 
 
+def grow_all_orders(
+    table: BranchingTable, clock_root: float, clock_end: float, rng: np.random.Generator
+) -> AllOrderTree:
+    """Follow every branch above the resolution; parameters as in `grow_tree`.
+
+    Notes
+    -----
+    Branches are walked as the trunk is, but end at clock_end itself, so that `AllOrderTree.m_end_msun` above
+    twice the resolution are the progenitors at that time. A branch lighter than that has none of its own.
+    """
+    values, links = walk_all(rng, clock_root, clock_end, _ln_root(table), _arguments(table))
+    return AllOrderTree(*(row.copy() for row in values), *(row.copy() for row in links))
+
+
+def _ln_root(table: BranchingTable) -> float:
+    return table.ln_resolution + math.log(2.0) + table.step * (table.smooth.size - 1)
+
+
+def _arguments(table: BranchingTable) -> tuple[float | FloatArray, ...]:
+    """Fields of a table in the order in which the kernels take them."""
+    return tuple(vars(table).values())
+
+
 @njit(cache=True)
-def _accumulate(weight, s_progenitor, s_parent, factor, first_row, step):  # type: ignore[no-untyped-def]
-    """Trapezoid sums over ln M1 of factor * weight / (S1 - S2)^1.5, one row a parent."""
+def _accumulate(weight, s_progenitor, s_parent, factor, gamma3, first_row, step):  # type: ignore[no-untyped-def]
+    """Trapezoid sums over ln M1 of factor * weight / (S1 - S2)^1.5 * (1 - S2/S1)^gamma3, one row a parent."""
     rows = weight.size
     cumulative = np.zeros((rows, rows))
     for i in range(first_row, rows):
-        gap = s_progenitor[0] - s_parent[i]
-        before = weight[0] / (gap * math.sqrt(gap))
-        total = 0.0
-        for n in range(1, i + 1):
+        before, total = 0.0, 0.0
+        for n in range(i + 1):
             gap = s_progenitor[n] - s_parent[i]
-            rate = weight[n] / (gap * math.sqrt(gap))
-            total += 0.5 * step * factor[i] * (before + rate)
-            cumulative[i, n] = total
+            rate = weight[n] / (gap * math.sqrt(gap)) * (gap / s_progenitor[n]) ** gamma3
+            if n > 0:
+                total += 0.5 * step * factor[i] * (before + rate)
+                cumulative[i, n] = total
             before = rate
     return cumulative
-
-
-@njit(cache=True)
-def _progenitor_position(row, last, fraction):  # type: ignore[no-untyped-def]
-    """Position in [0, last] at which the cumulative row reaches the given fraction of its total."""
-    target = fraction * row[last]
-    low, high = 0, last
-    while high - low > 1:
-        middle = (low + high) // 2
-        if row[middle] <= target:
-            low = middle
-        else:
-            high = middle
-    return low + (target - row[low]) / (row[high] - row[low])
-
-
-@njit(cache=True)
-def _walk(  # type: ignore[no-untyped-def]
-    rng,
-    clock,
-    clock_end,
-    ln_resolution,
-    step,
-    first_row,
-    cumulative,
-    smooth,
-    max_step,
-    sigma,
-    barrier,
-    gamma2,
-    capacity,
-):
-    """Walk the trunk; returns ([clock, ln M], [m_acc, host mass, clock_acc], number of steps)."""
-    last_row = smooth.size - 1
-    ln_lightest = ln_resolution + math.log(2.0)
-    ln_mass = ln_lightest + step * last_row
-    resolution = math.exp(ln_resolution)
-
-    trunk = np.empty((2, capacity))
-    trunk[0, 0], trunk[1, 0] = clock, ln_mass
-    n_trunk = 1
-    accreted = np.empty((3, 1024))
-    n_accreted = 0
-    steps = 0
-
-    while ln_mass > ln_lightest + step * first_row:
-        position = (ln_mass - ln_lightest) / step
-        row = min(int(position), last_row - 1)
-        upper = position - row
-        lower = 1.0 - upper
-        rate_low = lower * cumulative[row, row]
-        rate_high = upper * cumulative[row + 1, row + 1]
-        b = lower * barrier[row] + upper * barrier[row + 1]
-        sigma_2 = lower * sigma[row] + upper * sigma[row + 1]
-        time_factor = (b * clock / sigma_2) ** gamma2
-
-        rate = (rate_low + rate_high) * time_factor
-        d_omega = lower * max_step[row] + upper * max_step[row + 1]
-        if rate * d_omega > _STEP_BRANCHING:
-            d_omega = _STEP_BRANCHING / rate
-        accretion = (lower * smooth[row] + upper * smooth[row + 1]) * time_factor * d_omega
-        accretion = min(accretion, _MAX_SMOOTH)
-
-        clock_before, ln_mass_before = clock, ln_mass
-        clock += d_omega / b
-        if clock > clock_end:
-            clock = clock_before
-            break
-        steps += 1
-        if rng.random() < rate * d_omega:
-            # Each of the two rows is drawn from by its share of the rate.
-            drawn = row + 1 if rng.random() * (rate_low + rate_high) < rate_high else row
-            part = _progenitor_position(cumulative[drawn], drawn, rng.random()) / drawn
-            one = math.exp(ln_resolution + part * (ln_mass - ln_lightest))
-            other = math.exp(ln_mass) * (1.0 - accretion) - one
-            light, heavy = min(one, other), max(one, other)
-            ln_mass = math.log(heavy)
-            if light > resolution:
-                if n_accreted == accreted.shape[1]:
-                    grown = np.empty((3, 2 * n_accreted))
-                    grown[:, :n_accreted] = accreted
-                    accreted = grown
-                accreted[0, n_accreted] = light
-                accreted[1, n_accreted] = heavy
-                accreted[2, n_accreted] = clock
-                n_accreted += 1
-        else:
-            ln_mass += math.log1p(-accretion)
-
-        if trunk[1, n_trunk - 1] - ln_mass > _TRUNK_RESOLUTION:
-            if clock_before > trunk[0, n_trunk - 1]:
-                trunk[0, n_trunk], trunk[1, n_trunk] = clock_before, ln_mass_before
-                n_trunk += 1
-            trunk[0, n_trunk], trunk[1, n_trunk] = clock, ln_mass
-            n_trunk += 1
-
-    if clock > trunk[0, n_trunk - 1]:
-        trunk[0, n_trunk], trunk[1, n_trunk] = clock, ln_mass
-        n_trunk += 1
-    return trunk[:, :n_trunk], accreted[:, :n_accreted], steps

@@ -1,16 +1,15 @@
-"""Linear power spectra of cold and warm dark matter, and the variance of the density field."""
+"""Linear power spectrum of cold dark matter, and the variance of the density field."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from warmlens.cosmology import Cosmology
 from warmlens.types import FloatArray
-
-VIEL_NU = 1.12
 
 _K_MIN_HMPC = 1.0e-5
 _K_MAX_HMPC = 1.0e4
@@ -57,34 +56,6 @@ def cdm_power(cosmology: Cosmology) -> LinearPower:
     return LinearPower(k, raw.power * (cosmology.sigma8 / raw_sigma8) ** 2)
 
 
-def viel_alpha(m_th_kev: float, cosmology: Cosmology) -> float:
-    """Scale of the free-streaming break [Mpc/h]; 0 for cold dark matter (m_th_kev = inf).
-
-    Reference: Viel et al. 2005, eq. 7; the density is that of the dark matter alone.
-    """
-    omega_x = (cosmology.Om0 - cosmology.Ob0) / 0.25
-    return 0.049 * m_th_kev**-1.11 * omega_x**0.11 * (cosmology.h / 0.7) ** 1.22
-
-
-def wdm_transfer(k_hmpc: FloatArray, alpha_mpch: float) -> FloatArray:
-    """Amplitude ratio sqrt(P_WDM / P_CDM) at wave numbers [h/Mpc] for a break at alpha [Mpc/h].
-
-    Reference: Viel et al. 2005, eq. 6 (form of Bode et al. 2001).
-    """
-    return (1.0 + (alpha_mpch * k_hmpc) ** (2.0 * VIEL_NU)) ** (-5.0 / VIEL_NU)
-
-
-def half_mode_wavelength(alpha_mpch: float) -> float:
-    """Wave length [Mpc/h] at which the amplitude ratio is 1/2."""
-    return 2.0 * math.pi * alpha_mpch * (2.0 ** (VIEL_NU / 5.0) - 1.0) ** (-1.0 / (2.0 * VIEL_NU))
-
-
-def half_mode_mass(m_th_kev: float, cosmology: Cosmology) -> float:
-    """Mean mass in a sphere whose diameter is the half-mode wave length [Msun]; 0 for cold dark matter."""
-    radius_mpc = 0.5 * half_mode_wavelength(viel_alpha(m_th_kev, cosmology)) / cosmology.h
-    return 4.0 * math.pi / 3.0 * cosmology.mean_density_msun_mpc3 * radius_mpc**3
-
-
 def top_hat_sigma(mass_msun: FloatArray, spectrum: LinearPower, cosmology: Cosmology) -> FloatArray:
     """Linear rms at z = 0 of cold dark matter in top-hat spheres of mean mass M [Msun], any shape."""
     mass = np.asarray(mass_msun, dtype=np.float64)
@@ -124,17 +95,17 @@ class SharpKVariance:
         return np.interp(np.log(mass_msun), self.ln_mass, self.slope)
 
 
-def sharp_k_variance(
-    m_th_kev: float, spectrum: LinearPower, cosmology: Cosmology, sharp_k_a: float
+def filtered_variance(
+    transfer: Callable[[FloatArray], FloatArray], spectrum: LinearPower, cosmology: Cosmology, sharp_k_a: float
 ) -> SharpKVariance:
     """Tabulate the variance with a filter that is 1 below k_s = a/R(M) and 0 above.
 
     Parameters
     ----------
-    m_th_kev
-        Mass of the thermal relic [keV]; inf for cold dark matter.
+    transfer
+        Amplitude ratio to cold dark matter as a function of k [h/Mpc].
     spectrum
-        Cold power spectrum. Its normalisation is kept for warm dark matter.
+        Cold power spectrum. Its normalisation is kept for every dark matter.
     cosmology
         Background.
     sharp_k_a
@@ -145,7 +116,7 @@ def sharp_k_variance(
     The masses are those of the wave numbers of `spectrum`, so that the table is the running integral
     itself; its spacing leaves errors below 1e-5. Reference: Benson et al. 2013.
     """
-    ratio = wdm_transfer(spectrum.k_hmpc, viel_alpha(m_th_kev, cosmology))
+    ratio = transfer(spectrum.k_hmpc)
     density = spectrum.dimensionless * ratio**2  # dS/dlnk
     below = density[0] / (cosmology.ns + 3.0)  # k^(ns+3) down to k = 0
     steps = 0.5 * spectrum.step * (density[1:] + density[:-1])

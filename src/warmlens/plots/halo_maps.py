@@ -70,6 +70,44 @@ def draw_halo_panels(
     return artists
 
 
+def draw_halo_grid(
+    axes: np.ndarray,
+    maps: Sequence[Sequence[FloatArray]],
+    grid: PixelGrid,
+    m_kev: Sequence[float],
+    log10_mass_msun: Sequence[float],
+) -> list[list[AxesImage]]:
+    """Projected mass over thermal relic mass (columns) and halo mass (rows); one scale and colour bar a row.
+
+    Parameters
+    ----------
+    axes
+        Panels, object array [n_mass, n_m].
+    maps
+        Sigma [Msun/kpc^2] of each panel, [n_mass][n_m][ny, nx].
+    grid
+        Pixels of every map.
+    m_kev
+        Thermal relic mass of each column [keV].
+    log10_mass_msun
+        Log10 of the halo mass of each row [Msun].
+
+    Reference: Birrer+2017, Fig. 1.
+    """
+    artists = []
+    for row_axes, row, log10_mass in zip(axes, maps, log10_mass_msun, strict=True):
+        limits = density_limits(row)
+        artists.append([draw_halo_map(ax, sigma, grid, limits) for ax, sigma in zip(row_axes, row, strict=True)])
+        label = rf"$10^{{{log10_mass:g}}}$ M$_\odot$"
+        row_axes[0].text(0.05, 0.94, label, transform=row_axes[0].transAxes, color="white", va="top")
+        add_colour_bar(artists[-1][0], row_axes[-1], r"$\Sigma_{\rm sub}$ [M$_\odot$ kpc$^{-2}$]")
+    for ax, m in zip(axes[0], m_kev, strict=True):
+        ax.set_title(f"{m:g} keV")
+    for ax in axes.ravel():
+        ax.label_outer()
+    return artists
+
+
 def draw_deflection_panels(
     axes: np.ndarray,
     maps: Sequence[FloatArray],

@@ -12,6 +12,7 @@ from warmlens.artifacts import Dataset, Provenance, write_artifact
 from warmlens.campaign import Span, draw_parameters, stream
 from warmlens.config import CosmologyBlock, HalosBlock, RedshiftBlock
 from warmlens.cosmology import Cosmology, LensGeometry
+from warmlens.halos.merger_tree import BRANCHING
 from warmlens.halos.population import (
     MASS_BINS,
     VMAX_BINS,
@@ -55,10 +56,15 @@ def geometry(cosmology: CosmologyBlock, redshifts: RedshiftBlock) -> tuple[Cosmo
 
 def halo_generator(cosmology: CosmologyBlock, redshifts: RedshiftBlock, halos: HalosBlock) -> HaloGenerator:
     """Generator of halo realizations with the physics of the configuration."""
+    return HaloGenerator(*geometry(cosmology, redshifts), halo_model(halos))
+
+
+def halo_model(halos: HalosBlock) -> HaloModel:
+    """Physics of the configuration, the preset resolved."""
     tau_dyn, positions = _PRESETS.get(halos.preset, (halos.tau_dyn, halos.positions))
-    physics = halos.model_dump(exclude={"preset", "field_half_width_arcsec", "tau_dyn", "positions"})
-    model = HaloModel(tau_dyn=tau_dyn, positions=positions, **physics)  # type: ignore[arg-type]
-    return HaloGenerator(*geometry(cosmology, redshifts), model)
+    physics = halos.model_dump(exclude={"preset", "field_half_width_arcsec", "tau_dyn", "positions", "branching"})
+    branching = BRANCHING[halos.branching] if isinstance(halos.branching, str) else halos.branching
+    return HaloModel(tau_dyn=tau_dyn, positions=positions, branching=branching, **physics)  # type: ignore[arg-type]
 
 
 def run(settings: HalosSettings, span: Span, output: Path) -> None:

@@ -1,0 +1,133 @@
+"""Choices and coefficients of the physics of haloes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
+
+from warmlens.halos.dark_matter import TransferFunction
+from warmlens.halos.merger_tree import BRANCHING, Branching
+from warmlens.halos.stripping import DynamicalTime
+
+Positions = Literal["nfw_host", "nfw_infall", "orbit_infall"]
+Concentration = Literal["paper", "duffy08"]
+
+MIN_MASS_MSUN = 1.0e3  # the tables of the variance and of formation histories reach no deeper
+
+_CHOICES: dict[str, tuple[Any, ...]] = {
+    "tau_dyn": get_args(DynamicalTime),
+    "positions": get_args(Positions),
+    "transfer_function": get_args(TransferFunction),
+    "concentration": get_args(Concentration),
+}
+_COEFFICIENTS = (
+    "concentration_amplitude",
+    "concentration_mass_slope",
+    "concentration_redshift_slope",
+    "concentration_pivot_msun",
+)
+
+
+@dataclass(frozen=True)
+class HaloModel:
+    """Choices and coefficients of the subhalo physics; the defaults are those of Birrer et al. 2017.
+
+    Attributes
+    ----------
+    tau_dyn
+        Dynamical time of tidal stripping, see `warmlens.halos.stripping.loss_per_efold`.
+    positions
+        "nfw_host": subhaloes follow the NFW profile of the host at the lens. "nfw_infall": that of the
+        host when each was accreted. "orbit_infall": each is somewhere on the orbit in the host at its
+        accretion that has the circularity of its dynamical friction.
+    transfer_function
+        Free-streaming break of thermal relics, see `warmlens.halos.dark_matter.ThermalRelic`.
+    branching
+        (G0, gamma1, gamma2, gamma3) of the branching rate, see `warmlens.halos.merger_tree.BRANCHING`.
+    barrier_factor, sharp_k_a
+        Factor of the collapse threshold and k_s R of the sharp-k filter (Benson et al. 2013).
+    stripping_amplitude, stripping_slope
+        A_ts and zeta of tidal stripping.
+    min_mass_msun
+        Floor of the tree's resolution, and smallest bound mass of a subhalo [Msun].
+    friction_amplitude, friction_mass_slope, friction_circularity_slope
+        A_df, b_df and c_df of dynamical friction.
+    concentration
+        Of cold haloes. "paper": the power law whose coefficients are the next fields. "duffy08": that of
+        Duffy et al. 2008; the next fields must keep their defaults.
+    concentration_amplitude, concentration_mass_slope, concentration_redshift_slope
+        A_c, B_c and C_c of the concentration of cold haloes.
+    concentration_pivot_msun, concentration_min
+        Pivot mass [Msun] of that relation and smallest concentration of either relation.
+    concentration_scatter_dex
+        Log-normal scatter of the subhaloes' concentrations [dex].
+    formation_mass_cap_msun
+        Heaviest cold halo [Msun] to which a warm halo is mapped for its concentration.
+    z_max
+        Redshift at which the tree ends.
+    """
+
+    tau_dyn: DynamicalTime = "paper"
+    positions: Positions = "nfw_host"
+    transfer_function: TransferFunction = "viel05"
+    branching: Branching = BRANCHING["pch08"]
+    barrier_factor: float = 1.197
+    sharp_k_a: float = 2.5
+    stripping_amplitude: float = 1.54
+    stripping_slope: float = 0.07
+    min_mass_msun: float = 1.0e7
+    friction_amplitude: float = 0.216
+    friction_mass_slope: float = 1.3
+    friction_circularity_slope: float = 1.9
+    concentration: Concentration = "paper"
+    concentration_amplitude: float = 5.22
+    concentration_mass_slope: float = -0.072
+    concentration_redshift_slope: float = -0.42
+    concentration_pivot_msun: float = 2.0e12
+    concentration_min: float = 1.5
+    concentration_scatter_dex: float = 0.0
+    formation_mass_cap_msun: float = 1.0e16
+    z_max: float = 20.0
+
+    def __post_init__(self) -> None:
+        for name, allowed in _CHOICES.items():
+            if getattr(self, name) not in allowed:
+                names = ", ".join(f'"{choice}"' for choice in allowed)
+                raise ValueError(f"{name} must be one of {names}, got {getattr(self, name)!r}")
+        if len(self.branching) != 4 or not all(map(math.isfinite, self.branching)):
+            raise ValueError(f"branching must be four finite numbers, got {self.branching!r}")
+        if self.concentration == "duffy08":
+            self._keeps_default_concentrations()
+        for name in (
+            "barrier_factor",
+            "sharp_k_a",
+            "stripping_slope",
+            "concentration_amplitude",
+            "concentration_pivot_msun",
+            "concentration_min",
+            "formation_mass_cap_msun",
+            "z_max",
+        ):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise ValueError(f"{name} must be finite and > 0, got {value!r}")
+        for name in ("stripping_amplitude", "friction_amplitude", "concentration_scatter_dex"):
+            value = getattr(self, name)
+            if not 0.0 <= value < math.inf:
+                raise ValueError(f"{name} must be finite and >= 0, got {value!r}")
+        for name in ("friction_mass_slope", "friction_circularity_slope"):
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} must be finite, got {getattr(self, name)!r}")
+        if not MIN_MASS_MSUN <= self.min_mass_msun < math.inf:
+            raise ValueError(f"min_mass_msun must be finite and >= {MIN_MASS_MSUN:g}, got {self.min_mass_msun!r}")
+
+    def _keeps_default_concentrations(self) -> None:
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if field.name in _COEFFICIENTS and value != field.default:
+                raise ValueError(
+                    f'{field.name} is set by concentration = "duffy08" and must keep its default '
+                    f"{field.default!r}, got {value!r}"
+                )
