@@ -97,8 +97,13 @@ def test_equal_models_have_equal_hashes_and_others_do_not_compare(cosmology):
 def test_impossible_particle_masses_are_errors(value, cosmology):
     with pytest.raises(ValueError, match=r"m_th_kev must be > 0 \(inf for cold dark matter\), got"):
         dark_matter(value, cosmology)
-    with pytest.raises(ValueError, match="m_th_kev must be finite and > 0, got"):
+    with pytest.raises(ValueError, match=r"m_th_kev must be finite and >= 0\.001 keV, got"):
         ThermalRelic(value, cosmology)
+
+
+def test_a_relic_too_light_for_any_halo(cosmology):
+    with pytest.raises(ValueError, match=r"m_th_kev must be finite and >= 0\.001 keV, got 1e-100"):
+        dark_matter(1e-100, cosmology)
 
 
 def test_unknown_transfer_function_is_an_error(cosmology):

@@ -15,6 +15,8 @@ from warmlens.types import FloatArray
 
 TransferFunction = Literal["viel05", "bode01", "vogel23"]
 
+LIGHTEST_RELIC_KEV = 1.0e-3  # its Jeans mass of 4e20 Msun leaves no halo
+
 # Index nu of each form [1 + (alpha k)^(2 nu)]^(-5/nu).
 TRANSFER_INDEX: dict[TransferFunction, float] = {"viel05": 1.12, "bode01": 1.2, "vogel23": 1.049}
 
@@ -71,7 +73,7 @@ class ThermalRelic:
     Attributes
     ----------
     m_th_kev
-        Mass of the particle [keV], finite and > 0.
+        Mass of the particle [keV], finite and at least `LIGHTEST_RELIC_KEV`.
     cosmology
         Background; all of the dark matter is warm.
     transfer_function
@@ -84,8 +86,8 @@ class ThermalRelic:
     transfer_function: TransferFunction = "viel05"
 
     def __post_init__(self) -> None:
-        if not 0.0 < self.m_th_kev < math.inf:
-            raise ValueError(f"m_th_kev must be finite and > 0, got {self.m_th_kev!r}")
+        if not LIGHTEST_RELIC_KEV <= self.m_th_kev < math.inf:
+            raise ValueError(f"m_th_kev must be finite and >= {LIGHTEST_RELIC_KEV:g} keV, got {self.m_th_kev!r}")
         if self.transfer_function not in TRANSFER_INDEX:
             names = ", ".join(f'"{name}"' for name in TRANSFER_INDEX)
             raise ValueError(f"transfer_function must be one of {names}, got {self.transfer_function!r}")
