@@ -26,6 +26,7 @@ FIGURES = (
     "correlation",
     "posterior",
 )
+FIGURE_VERSION = 1  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
 CONFIG = "config.json"
 TABLE = "abc.csv"
 

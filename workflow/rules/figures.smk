@@ -28,6 +28,7 @@ rule figure:
     output:
         ensure(results("figures/{figure}.png"), non_empty=True),
     params:
+        version=FIGURE_VERSION,
         artifacts=lambda wildcards: repeated("artifact", FIGURE_ARTIFACTS[wildcards.figure]),
     log:
         results("logs/figures/{figure}.log"),
