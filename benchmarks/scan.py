@@ -1,30 +1,74 @@
-"""Scan of one position: the low-rank operator against a direct solve, in one run, at the paper's size.
+"""The scan at the paper's size: time, accuracy against a direct solve, memory and disk, in one run.
 
-Prints both times, their ratio and the difference in Delta R. One thread is the fair setting:
-OPENBLAS_NUM_THREADS=1 python benchmarks/scan.py
+160 x 160 pixels, two bands, n_max 50 and 15 clumps of n_max 3, nested shapelets; 2,483 mocks at 6,400
+positions are extrapolated from a sample. One thread:
+OPENBLAS_NUM_THREADS=1 python benchmarks/scan.py [--quick] [--json FILE]
 """
 
 from __future__ import annotations
 
 import argparse
+import json
+import resource
 import time
+from pathlib import Path
+from typing import NamedTuple
 
-import numpy as np
-from lenstronomy.LensModel.lens_model import LensModel
-from scipy import linalg
+from warmlens import runtime
 
-from warmlens.fitting.linear import LinearModel, build_linear_model, physical_coefficients, solve
-from warmlens.imaging.grid import PixelGrid
-from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
-from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
-from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.maps import delta_r, residual_images
-from warmlens.scan.operator import build_shard, project_band
-from warmlens.scan.perturber import Perturber
-from warmlens.types import FloatArray
+runtime.prepare()  # before numpy: one thread, and compiled kernels of this code
+
+import numpy as np  # noqa: E402
+from lenstronomy.LensModel.lens_model import LensModel  # noqa: E402
+from scipy import linalg  # noqa: E402
+
+from warmlens.fitting.linear import LinearModel, build_linear_model, physical_coefficients, solve  # noqa: E402
+from warmlens.imaging.grid import PixelGrid  # noqa: E402
+from warmlens.imaging.psf import Convolution, hst_like_psf, point_source  # noqa: E402
+from warmlens.imaging.shapelets import ShapeletSet, pixel_basis  # noqa: E402
+from warmlens.lensing.rays import SmoothRays  # noqa: E402
+from warmlens.scan.maps import delta_r, residual_images, residual_maps  # noqa: E402
+from warmlens.scan.nested import NestedShapelets  # noqa: E402
+from warmlens.scan.operator import OperatorShard, build_shard, project_band  # noqa: E402
+from warmlens.scan.perturber import Perturber  # noqa: E402
+from warmlens.scan.raster import Raster  # noqa: E402
+from warmlens.scan.response import expected_delta_r, linear_response  # noqa: E402
+from warmlens.types import FloatArray  # noqa: E402
 
 QUASARS = ((-2.037, -0.520), (-2.076, 0.662), (-1.460, -1.632), (1.074, 0.356))
 SOURCE = (-0.503, -0.058)
+PERTURBER = Perturber(0.01, 0.1)
+ARRAYS = ("matrices", "sensitivity", "nested_inverse", "pixels", "responses", "response_noise")
+NESTED = NestedShapelets(5, 1e-5, (0.02, 0.1))
+BANDS = (814.0, 555.0)
+MOCKS, CORES = 2483, 2
+
+
+class Scene(NamedTuple):
+    """Problem of one band."""
+
+    rays: SmoothRays
+    sets: tuple[ShapeletSet, ...]
+    convolution: Convolution
+    weights: FloatArray
+    model: LinearModel
+    data: FloatArray
+
+
+class Measured(NamedTuple):
+    """Seconds per unit, bytes per position, and the largest error of one band."""
+
+    design: float
+    build: float
+    fit: float
+    apply: float
+    amplitude: float
+    expected: float
+    attenuation: float
+    residuals: float
+    direct: float
+    n_bytes: float
+    error: float
 
 
 def smooth_rays(grid: PixelGrid, factor: int) -> SmoothRays:
@@ -39,36 +83,18 @@ def smooth_rays(grid: PixelGrid, factor: int) -> SmoothRays:
     return SmoothRays(theta_x, theta_y, x.reshape(theta_x.shape), y.reshape(theta_x.shape))
 
 
-def direct_minimum(
-    columns: FloatArray, convolution: Convolution, weights: FloatArray, model: LinearModel, data: FloatArray
-) -> float:
-    """J of one image with another source basis: convolve, normal equations, Cholesky, residual."""
-    images = np.ascontiguousarray(columns.T).reshape(-1, *convolution.shape)
-    design = model.design.copy()
-    design[:, : model.n_source] = (weights * convolution.forward(images)).reshape(-1, weights.size).T
-    design[:, : model.n_source] /= model.column_norms[: model.n_source]
-    gram = design.T @ design
-    gram[np.diag_indices_from(gram)] += model.ridge
-    x = linalg.cho_solve(linalg.cho_factor(gram, lower=True), design.T @ data)
-    residual = data - design @ x
-    return float(residual @ residual + model.ridge * x @ x)
-
-
-def main() -> None:
-    """Time a direct solve and the operator at the same position."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--n-max", type=int, default=50)
-    parser.add_argument("--pixels", type=int, default=160)
-    parser.add_argument("--factor", type=int, default=2, help="sub-pixels along a side of a pixel")
-    parser.add_argument("--mocks", type=int, default=250)
-    parser.add_argument("--positions", type=int, default=100)
-    arguments = parser.parse_args()
-
-    rng = np.random.default_rng(0)
+def scene(arguments: argparse.Namespace, wavelength: float) -> Scene:
+    """Mocks of one band: a spiral's light that the basis cannot follow exactly, noise as in the paper's image."""
+    rng = np.random.default_rng(int(wavelength))
     grid = PixelGrid.centred((arguments.pixels, arguments.pixels), 0.05)
     rays = smooth_rays(grid, arguments.factor)
-    sets = (ShapeletSet(arguments.n_max, 0.18, *SOURCE),)
-    psf = hst_like_psf(814.0, 0.05, 161)
+    angle, distance = 2.4 * np.arange(15), 0.05 + 0.02 * np.arange(15)
+    clumps = [
+        ShapeletSet(3, 0.03, SOURCE[0] + float(r * np.cos(a)), SOURCE[1] + float(r * np.sin(a)))
+        for a, r in zip(angle, distance, strict=True)
+    ]
+    sets = (ShapeletSet(arguments.n_max, 0.18, *SOURCE), *clumps)
+    psf = hst_like_psf(wavelength, 0.05, arguments.psf)
     convolution = Convolution(psf, grid.shape)
     fixed = np.stack([*(point_source(psf, grid, *xy).ravel() for xy in QUASARS), np.ones(grid.ny * grid.nx)], 1)
     radius = np.hypot(rays.source_x - SOURCE[0], rays.source_y - SOURCE[1])
@@ -77,40 +103,157 @@ def main() -> None:
     weights = 1.0 / np.sqrt(0.0082**2 + image / 1980.0)
     columns = pixel_basis(sets, rays.source_x, rays.source_y)
     model = build_linear_model(columns, fixed, convolution, weights, 1e-8)
-    perturber = Perturber(0.01, 0.1)
-    projection = project_band(model, convolution, weights, rays, perturber)
-    angle = np.linspace(0.0, 2.0 * np.pi, arguments.positions, endpoint=False)
-    positions = 1.8 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     data = (weights * image).reshape(-1, 1) + rng.normal(size=(weights.size, arguments.mocks))
+    return Scene(rays, sets, convolution, weights, model, data)
 
-    build_shard(model, projection, weights, sets, rays, perturber, positions[:1])  # compile
+
+def direct_minimum(item: Scene, columns: FloatArray, nested: FloatArray, prior: float) -> float:
+    """J of the first mock with this source basis: convolve, normal equations, Cholesky, residual."""
+    images = np.ascontiguousarray(np.hstack([columns, nested]).T).reshape(-1, *item.convolution.shape)
+    moved = (item.weights * item.convolution.forward(images)).reshape(-1, item.weights.size).T
+    n_source, n_nested = item.model.n_source, nested.shape[1]
+    norms = np.append(item.model.column_norms, np.ones(n_nested))
+    design = np.hstack([moved[:, :n_source], item.model.design[:, n_source:], moved[:, n_source:]])
+    design[:, :n_source] /= norms[:n_source]
+    weight = np.append(item.model.prior, np.full(n_nested, prior))
+    gram = design.T @ design
+    gram[np.diag_indices_from(gram)] += weight
+    data = item.data[:, 0]
+    x = linalg.cho_solve(linalg.cho_factor(gram, lower=True), design.T @ data)
+    residual = data - design @ x
+    return float(residual @ residual + weight @ x**2)
+
+
+def direct_delta_r(item: Scene, shard: OperatorShard, position: int) -> tuple[float, float]:
+    """Delta R of the first mock by two direct solves, and the seconds of one of them."""
+    x, y, beta = (float(value) for value in shard.points[position])
+    nested = (ShapeletSet(NESTED.n_max, beta, x, y),)
+    rays, place = item.rays, shard.positions[position]
+    alpha = PERTURBER.deflection(rays.theta_x - place[0], rays.theta_y - place[1])
+    minima: list[float] = []
+    prior = 0.0
+    for bend in ((0.0, 0.0), alpha):
+        start = time.perf_counter()
+        source = rays.source_x - bend[0], rays.source_y - bend[1]
+        extra = pixel_basis(nested, *source)
+        if not minima:
+            seen = item.convolution.forward(np.ascontiguousarray(extra.T).reshape(-1, *item.weights.shape))
+            prior = NESTED.ridge * float(np.sum((item.weights * seen) ** 2, axis=(1, 2)).max())
+        minima.append(direct_minimum(item, pixel_basis(item.sets, *source), extra, prior))
+        seconds = time.perf_counter() - start
+    return minima[1] - minima[0], seconds
+
+
+def measure(arguments: argparse.Namespace, wavelength: float, positions: FloatArray) -> Measured:
+    """Build and apply the operator of one band, and solve directly at some positions."""
+    item = scene(arguments, wavelength)
+    rays, sets, convolution, weights, model, data = item
     start = time.perf_counter()
-    shard = build_shard(model, projection, weights, sets, rays, perturber, positions)
-    build_seconds = (time.perf_counter() - start) / arguments.positions
+    projection = project_band(model, convolution, weights, rays, PERTURBER)
+    design = time.perf_counter() - start
+
+    def build(where: FloatArray) -> OperatorShard:
+        return build_shard(
+            model, projection, convolution, weights, sets, rays, PERTURBER, where, NESTED, response=True
+        )
+
+    build(positions[:1])  # compile
+    start = time.perf_counter()
+    shard = build(positions)
+    build_seconds = (time.perf_counter() - start) / len(positions)
     start = time.perf_counter()
     fit = solve(model, data)
     tau = residual_images(fit, convolution, weights)
     fit_seconds = (time.perf_counter() - start) / arguments.mocks
     coefficients = physical_coefficients(model, fit.coefficients)[: model.n_source]
-    delta_r(shard, sets, rays, perturber, coefficients[:, :1], tau[:, :1])  # compile
+    delta_r(shard, sets, rays, PERTURBER, coefficients[:, :1], tau[:, :1])  # compile
     start = time.perf_counter()
-    maps = delta_r(shard, sets, rays, perturber, coefficients, tau)
+    maps = delta_r(shard, sets, rays, PERTURBER, coefficients, tau)
     apply_seconds = (time.perf_counter() - start) / maps.size
-
-    alpha = perturber.deflection(rays.theta_x - positions[0, 0], rays.theta_y - positions[0, 1])
+    linear_response(shard, sets, rays, PERTURBER, coefficients[:, :1], tau[:, :1])  # compile
     start = time.perf_counter()
-    moved = pixel_basis(sets, rays.source_x - alpha[0], rays.source_y - alpha[1])
-    perturbed = direct_minimum(moved, convolution, weights, model, data[:, 0])
-    direct_seconds = time.perf_counter() - start
-    smooth = direct_minimum(columns, convolution, weights, model, data[:, 0])
+    response = linear_response(shard, sets, rays, PERTURBER, coefficients, tau)
+    amplitude_seconds = (time.perf_counter() - start) / maps.size
+    clean = solve(model, data.mean(axis=1, keepdims=True))  # nearly without noise
+    source = physical_coefficients(model, clean.coefficients)[: model.n_source]
+    quiet = linear_response(shard, sets, rays, PERTURBER, source, residual_images(clean, convolution, weights))
+    seen = quiet.fisher[:, 0] > 1.0  # where eps of the perturber is known at all
+    mean = response.fisher[seen].mean(axis=1)
+    attenuation = float(np.median(quiet.fisher[seen, 0] / mean))
+    predicted = np.median((mean - response.noise[seen, 0] * (1.0 - 1.0 / arguments.mocks)) / mean)
+    print(f"Fisher information without over with noise: {attenuation:.3f}, predicted {predicted:.3f}")
+    expected_delta_r(shard, sets, rays, PERTURBER, [0.01], source[:, 0])  # compile
+    start = time.perf_counter()
+    expected_delta_r(shard, sets, rays, PERTURBER, [0.01], source[:, 0])
+    expected_seconds = (time.perf_counter() - start) / len(positions)
+    alone = solve(model, data[:, :1])
+    residual_maps(shard, model, alone, sets, rays, PERTURBER, convolution, weights)  # compile
+    start = time.perf_counter()
+    residual_maps(shard, model, alone, sets, rays, PERTURBER, convolution, weights)
+    residual_seconds = (time.perf_counter() - start) / len(positions)
+    errors, times = [], []
+    for position in np.linspace(0, len(positions) - 1, arguments.direct).astype(int):
+        expected, seconds = direct_delta_r(item, shard, int(position))
+        errors.append(abs(float(maps[position, 0]) - expected))
+        times.append(seconds)
+    n_bytes = sum(getattr(shard, name).nbytes for name in ARRAYS)
+    print(
+        f"{wavelength:.0f} nm: {model.design.shape[1]} columns, "
+        f"{np.diff(shard.pixel_offsets).mean():.0f} pixels moved, "
+        f"Delta R from {maps.min():.2f} to {maps.max():.2f}, direct {min(times):.2f} s"
+    )
+    return Measured(
+        design, build_seconds, fit_seconds, apply_seconds, amplitude_seconds, expected_seconds, attenuation,
+        residual_seconds, min(times), n_bytes / len(positions), max(errors),
+    )  # fmt: skip
 
-    print(f"{model.design.shape[1]} columns, {weights.size} pixels, {arguments.mocks} mocks")
-    print(f"operator           {1e3 * build_seconds:8.2f} ms per position")
-    print(f"smooth fit         {1e3 * fit_seconds:8.2f} ms per mock")
-    print(f"scan               {1e6 * apply_seconds:8.2f} us per mock and position")
-    print(f"direct solve       {direct_seconds:8.2f} s  per mock and position")
-    print(f"ratio              {direct_seconds / apply_seconds:8.0f}")
-    print(f"Delta R            {maps[0, 0]:.6f}, direct {perturbed - smooth:.6f}")
+
+def main() -> None:
+    """Measure both bands and extrapolate to the paper's campaign."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--n-max", type=int, default=50)
+    parser.add_argument("--pixels", type=int, default=160)
+    parser.add_argument("--psf", type=int, default=81, help="side of the PSF")
+    parser.add_argument("--factor", type=int, default=1, help="sub-pixels along a side of a pixel")
+    parser.add_argument("--mocks", type=int, default=250)
+    parser.add_argument("--positions", type=int, default=640)
+    parser.add_argument("--direct", type=int, default=6, help="positions solved directly")
+    parser.add_argument("--quick", action="store_true", help="a sample of the sample, in two minutes")
+    parser.add_argument("--json", type=Path, help="write the numbers here")
+    arguments = parser.parse_args()
+    if arguments.quick:
+        arguments.positions, arguments.direct = min(arguments.positions, 80), min(arguments.direct, 2)
+
+    raster = Raster(4.0, 4.0, 0.05).coordinates()
+    chosen = np.sort(np.random.default_rng(1).permutation(len(raster))[: arguments.positions])
+    bands = [measure(arguments, wavelength, raster[chosen]) for wavelength in BANDS]
+    design, build, fit, apply, amplitude, expected, attenuation, residuals, direct, n_bytes, _ = np.mean(
+        bands, axis=0
+    )
+    total = len(BANDS) * (design + len(raster) * build + MOCKS * fit + MOCKS * len(raster) * apply)
+    result = {
+        "us_per_mock_position_band": 1e6 * apply,
+        "us_per_mock_position_band_amplitude": 1e6 * amplitude,
+        "speedup_vs_direct": direct / apply,
+        "max_abs_error": max(band.error for band in bands),
+        "build_ms_per_position_band": 1e3 * build,
+        "fit_ms_per_mock_band": 1e3 * fit,
+        "residual_maps_ms_per_position_band": 1e3 * residuals,
+        "expected_delta_r_ms_per_theta_e_position_band": 1e3 * expected,
+        "median_fisher_without_over_with_noise": attenuation,
+        "direct_seconds": direct,
+        "campaign_minutes": total / CORES / 60.0,
+        "campaign_minutes_without_building": len(BANDS) * MOCKS * (fit + len(raster) * apply) / CORES / 60.0,
+        "peak_rss_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
+        "operator_gb": len(BANDS) * len(raster) * n_bytes / 1e9,
+        "mocks": arguments.mocks,
+        "positions": arguments.positions,
+    }
+    for name, value in result.items():
+        print(f"{name:36s} {value:12.6g}")
+    if arguments.json:
+        numbers = {name: float(value) for name, value in result.items()}
+        arguments.json.write_text(json.dumps(numbers, indent=1) + "\n")
 
 
 if __name__ == "__main__":

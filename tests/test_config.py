@@ -74,8 +74,49 @@ def _changed(raw: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("observation.kind", "fits", "observation", "needs the block 'fits'"),
         ("observation.simulated.psf_pixels", 80, "observation.simulated", "must be odd"),
         ("smooth_model.lens.kwargs_lens", [], "smooth_model.lens", "must match"),
+        ("smooth_model.fit", None, "smooth_model", "mode: fit needs the block 'fit'"),
+        ("smooth_model.mode", "search", "smooth_model.mode", "'given' or 'fit'"),
+        ("smooth_model.fit.levels", [10, 30, 20], "smooth_model.fit", r"levels must rise, got \[10, 30, 20\]"),
+        ("smooth_model.fit.levels", [10, 10, 20], "smooth_model.fit", "levels must rise"),
+        ("smooth_model.fit.levels", [10, 50], "smooth_model", "must end below source.n_max = 50"),
+        ("smooth_model.fit.lens_free", [{}, {}], "smooth_model", "3 entries, fit.lens_free has 2"),
+        ("smooth_model.fit.lens_free", [{}, {}, {}, {}], "smooth_model", "3 entries, fit.lens_free has 4"),
+        ("smooth_model.fit.lens_light_free", [{}], "smooth_model", "3 entries, fit.lens_light_free has 1"),
+        (
+            "smooth_model.fit.satellites",
+            [[3, 2]],
+            "smooth_model",
+            r"\[3, 2\] names a component that does not exist",
+        ),
+        (
+            "smooth_model.fit.satellites",
+            [[2, 3]],
+            "smooth_model",
+            r"\[2, 3\] names a component that does not exist",
+        ),
+        (
+            "smooth_model.fit.satellites",
+            [[-1, 2]],
+            "smooth_model.fit.satellites.0.0",
+            "greater than or equal to 0",
+        ),
+        ("smooth_model.fit.potential_shapelets.number", 7, "smooth_model.fit.potential_shapelets.number", "21"),
+        (
+            "smooth_model.fit.potential_shapelets.sigma",
+            0.0,
+            "smooth_model.fit.potential_shapelets.sigma",
+            "than 0",
+        ),
+        ("smooth_model.fit.tie_arcsec", 0.0, "smooth_model.fit.tie_arcsec", "greater than 0"),
+        ("smooth_model.fit.tolerance", 1.0, "smooth_model.fit.tolerance", "less than 1"),
+        ("smooth_model.fit.search.particles", 3, "smooth_model.fit.search.particles", "equal to 4"),
+        ("smooth_model.quasar_images", [], "smooth_model", "center: quasars needs quasar_images"),
+        ("smooth_model.chi2_red_range", [1.1, 0.9], "smooth_model.chi2_red_range", "must be below the upper end"),
         ("summaries.threshold", 4.0, "summaries.threshold", "less than 0"),
         ("summaries.cumulative_min", -3.0, "summaries", "must be below threshold"),
+        ("deflections.filter", "wavelet", "deflections.filter", "'gaussian', 'starlet' or 'median_wavelet'"),
+        ("deflections.smooth_host", "perhaps", "deflections.smooth_host", "valid boolean"),
+        ("mocks.quasar_positions", "fixed", "mocks.quasar_positions", "'observed' or 'solved'"),
         ("abc.fraction", 1.5, "abc.fraction", "less than or equal to 1"),
     ],
 )
@@ -84,6 +125,50 @@ def test_impossible_values(paper: dict[str, Any], key: str, value: Any, reported
         parse_config(_changed(paper, key, value))
     assert len(error.value.problems) == 1
     assert error.value.problems[0].startswith(f"{reported}: ")
+
+
+@pytest.mark.parametrize(
+    ("value", "reason"),
+    [
+        ([2.0, 1.2, 0.1], "the lower limit 2 must be below the upper limit 1.2"),
+        ([1.2, 1.2, 0.1], "must be below the upper limit"),
+        ([1.2, 2.0, 0.0], "greater than 0"),
+        ([1.2, float("inf"), None], "finite"),
+    ],
+)
+def test_impossible_free_ranges(paper: dict[str, Any], value: list[float | None], reason: str) -> None:
+    free = [{"theta_E": value}, {}, {}]
+    with pytest.raises(ConfigError, match=reason) as error:
+        parse_config(_changed(paper, "smooth_model.fit.lens_free", free))
+    assert error.value.problems[0].startswith("smooth_model.fit.lens_free.0.theta_E")
+
+
+def test_psf_fit_needs_quasars(paper: dict[str, Any]) -> None:
+    psf = {"iterations": 1, "radius_arcsec": 0.5, "relative_sigma": 0.1, "wing_radii_arcsec": [0.5, 0.8],
+           "unknown_fraction": 0.1}  # fmt: skip
+    with_psf = _changed(paper, "smooth_model.fit.psf", psf)
+    assert parse_config(with_psf).smooth_model.fit is not None
+    bare = _changed(_changed(with_psf, "smooth_model.quasar_images", []), "smooth_model.source.center", [0.0, 0.0])
+    with pytest.raises(ConfigError, match=r"fit\.psf improves the PSF on the quasar images"):
+        parse_config(bare)
+
+
+def test_given_lens_needs_no_fit_block(paper: dict[str, Any]) -> None:
+    given = _changed(_changed(paper, "smooth_model.mode", "given"), "smooth_model.fit", None)
+    assert parse_config(given).smooth_model.fit is None
+
+
+def test_a_fit_drops_the_potential_shapelets_of_the_start(paper: dict[str, Any]) -> None:
+    """They are started from 0 by fit.potential_shapelets; the others keep their order, wherever it is."""
+    block = parse_config(paper).smooth_model
+    assert block.lens.lens_model_list == ["EPL", "SHEAR", "SIS", "SHAPELETS_CART"]
+    assert block.fitted_lens.lens_model_list == ["EPL", "SHEAR", "SIS"]
+    assert block.fitted_lens.kwargs_lens == block.lens.kwargs_lens[:3]
+    lens = paper["smooth_model"]["lens"]
+    turned = {key: [lens[key][i] for i in (3, 2, 0, 1)] for key in ("lens_model_list", "kwargs_lens")}
+    fitted = parse_config(_changed(paper, "smooth_model.lens", turned)).smooth_model.fitted_lens
+    assert fitted.lens_model_list == ["SIS", "EPL", "SHEAR"]
+    assert fitted.kwargs_lens == [lens["kwargs_lens"][i] for i in (2, 0, 1)]
 
 
 def test_branching_by_name_or_numbers(paper: dict[str, Any]) -> None:

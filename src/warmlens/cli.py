@@ -170,14 +170,14 @@ def abc(
 @app.command()
 def figure(
     name: Annotated[
-        str, typer.Argument(help="Of a campaign's figure, or 1 or 8: the paper's, without a campaign.")
+        str, typer.Argument(help="Of a campaign's figure, or 1, 2 or 8: the paper's, without a campaign.")
     ],
     output: Output,
     artifact: Artifacts = None,
     configfile: ConfigFiles = None,
 ) -> None:
     """Draw one figure of a campaign from its artifacts, or one of the paper from the configuration."""
-    if name in ("1", "8"):
+    if name in ("1", "2", "8"):
         from warmlens.stages import paper_figures
 
         paper_figures.run(name, _load(configfile), output)

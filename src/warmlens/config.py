@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, model_validator
@@ -133,13 +134,23 @@ class HalosBlock(Block):
         return self
 
 
+class ClumpsBlock(Block):
+    """Further shapelet sets for small features of the source, found in the residuals."""
+
+    number: Annotated[int, Field(ge=0, le=200)]
+    n_max: Annotated[int, Field(ge=0, le=10)]
+    threshold: Positive
+    scale_in_fwhm: Positive
+
+
 class SourceBlock(Block):
     """Shapelet basis of the source, common to all bands."""
 
     n_max: Annotated[int, Field(ge=0, le=80)]
     beta_arcsec: Positive
-    center: Point
+    center: Point | Literal["quasars"]
     supersampling: Annotated[int, Field(ge=1, le=8)]
+    clumps: ClumpsBlock | None = None
 
 
 class LensBlock(Block):
@@ -173,18 +184,121 @@ def _same_length(name: str, first: Sequence[object], other: str, second: Sequenc
         raise ValueError(f"{name} has {len(first)} entries, {other} has {len(second)}; they must match")
 
 
-class SmoothModelBlock(Block):
-    """Smooth model: the lens is given; the amplitudes of source, light and quasars are fitted per band."""
+def _free_range(value: tuple[float, float, float | None]) -> tuple[float, float, float | None]:
+    if not value[0] < value[1]:
+        raise ValueError(f"the lower limit {value[0]:g} must be below the upper limit {value[1]:g}")
+    return value
 
-    mode: Literal["given"]
+
+FreeRange = Annotated[tuple[Finite, Finite, Positive | None], AfterValidator(_free_range)]
+
+
+class PotentialShapeletsBlock(Block):
+    """Cartesian shapelets of the lens potential, about the first component's first centre."""
+
+    number: Literal[0, 1, 3, 6, 10, 15, 21, 28, 36]
+    beta_arcsec: Positive
+    sigma: Positive
+
+
+class SearchBlock(Block):
+    """Particle swarm over the lens before the fit."""
+
+    particles: Annotated[int, Field(ge=4)]
+    iterations: Annotated[int, Field(ge=1)]
+    n_max: Annotated[int, Field(ge=0, le=20)]
+
+
+class PsfFitBlock(Block):
+    """Improvement of the PSF on the quasar images."""
+
+    iterations: Annotated[int, Field(ge=1, le=20)]
+    radius_arcsec: Positive
+    relative_sigma: Positive
+    wing_radii_arcsec: Interval
+    unknown_fraction: Fraction
+
+
+class FitBlock(Block):
+    """Which parameters of the smooth lens and its light are free, and how they are fitted."""
+
+    lens_free: list[dict[str, FreeRange]]
+    lens_light_free: list[dict[str, FreeRange]]
+    satellites: list[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]]
+    potential_shapelets: PotentialShapeletsBlock
+    quasar_sigma_arcsec: Positive
+    tie_arcsec: Positive
+    source_beta: FreeRange | None
+    search: SearchBlock | None
+    levels: list[Annotated[int, Field(ge=0, le=80)]]
+    max_steps: Annotated[int, Field(ge=1, le=200)]
+    tolerance: Fraction
+    psf: PsfFitBlock | None
+    seed: Annotated[int, Field(ge=0)]
+
+    @model_validator(mode="after")
+    def _levels(self) -> FitBlock:
+        if sorted(set(self.levels)) != self.levels:
+            raise ValueError(f"levels must rise, got {self.levels}")
+        return self
+
+
+class SmoothModelBlock(Block):
+    """Smooth model: the lens is given, or fitted from there; the amplitudes are fitted per band either way."""
+
+    mode: Literal["given", "fit"]
     lens: LensBlock
     lens_light: LensLightBlock
     quasar_images: list[Point]
+    noise_from: Literal["model", "data"]
     quasar_variance_fraction: NonNegative
+    quasar_core_arcsec: NonNegative
+    disc_arcsec: Positive | None
+    lens_core_mask_arcsec: NonNegative
     fit_background: bool
     source: SourceBlock
     ridge: Positive
     chi2_red_range: Interval
+    allow_poor_fit: bool
+    fit: FitBlock | None = None
+
+    @model_validator(mode="after")
+    def _consistent(self) -> SmoothModelBlock:
+        if self.source.center == "quasars" and not self.quasar_images:
+            raise ValueError("source.center: quasars needs quasar_images; give a point [x, y] instead")
+        if self.mode == "given":
+            return self
+        if self.fit is None:
+            raise ValueError("mode: fit needs the block 'fit'")
+        _same_length("lens.lens_model_list", self.fitted_lens.lens_model_list, "fit.lens_free", self.fit.lens_free)
+        _same_length(
+            "lens_light_model_list",
+            self.lens_light.lens_light_model_list,
+            "fit.lens_light_free",
+            self.fit.lens_light_free,
+        )
+        for lens, light in self.fit.satellites:
+            if lens >= len(self.fit.lens_free) or light >= len(self.fit.lens_light_free):
+                raise ValueError(f"fit.satellites: [{lens}, {light}] names a component that does not exist")
+            if {"center_x", "center_y"} & self.fit.lens_light_free[light].keys():
+                raise ValueError(
+                    f"fit.lens_light_free: light model {light} is a satellite and follows its lens model {lens}; "
+                    "leave center_x and center_y out"
+                )
+        if self.fit.psf is not None and not self.quasar_images:
+            raise ValueError("fit.psf improves the PSF on the quasar images, but quasar_images is empty")
+        if self.fit.levels and self.fit.levels[-1] >= self.source.n_max:
+            raise ValueError(
+                f"fit.levels {self.fit.levels} must end below source.n_max = {self.source.n_max}, the last level"
+            )
+        return self
+
+    @property
+    def fitted_lens(self) -> LensBlock:
+        """The lens without its potential shapelets, which a fit starts from 0."""
+        pairs = zip(self.lens.lens_model_list, self.lens.kwargs_lens, strict=True)
+        kept = [(name, kwargs) for name, kwargs in pairs if name != "SHAPELETS_CART"]
+        return LensBlock(lens_model_list=[name for name, _ in kept], kwargs_lens=[kwargs for _, kwargs in kept])
 
 
 class SimulatedBandBlock(Block):
@@ -293,10 +407,17 @@ class ObservationBlock(Block):
 
 
 class DeflectionsBlock(Block):
-    """High-pass filter of the subhaloes' deflection."""
+    """High-pass filter of the subhaloes' deflection, and what is deflecting."""
 
-    filter: Literal["gaussian"]
+    filter: Literal["gaussian", "starlet", "median_wavelet"]
     filter_arcsec: Positive
+    smooth_host: bool = False
+
+
+class MocksBlock(Block):
+    """Where the mocks' quasar images stand."""
+
+    quasar_positions: Literal["observed", "solved"] = "observed"
 
 
 class PerturberBlock(Block):
@@ -306,20 +427,67 @@ class PerturberBlock(Block):
     r_trunc_arcsec: Positive
 
 
+class NestedBlock(Block):
+    """Source shapelets at each position's source point, in both fits of the scan."""
+
+    n_max: Annotated[int, Field(ge=0, le=12)]
+    ridge: Positive
+    beta_range_arcsec: tuple[Positive, Positive]
+
+    @model_validator(mode="after")
+    def _range(self) -> NestedBlock:
+        low, high = self.beta_range_arcsec
+        if low > high:
+            raise ValueError(f"beta_range_arcsec: the lower end {low:g} must not be above the upper end {high:g}")
+        return self
+
+
+class SensitivityBlock(Block):
+    """Deflections for which the scan of the observation says what it would see."""
+
+    theta_e_arcsec: Annotated[list[Positive], Field(min_length=1)]
+    delta_r: Positive
+
+    @model_validator(mode="after")
+    def _order(self) -> SensitivityBlock:
+        if any(low >= high for low, high in pairwise(self.theta_e_arcsec)):
+            raise ValueError(f"theta_e_arcsec must rise from value to value, got {self.theta_e_arcsec}")
+        return self
+
+
 class ScanBlock(Block):
-    """Raster of the substructure scan."""
+    """Raster of the substructure scan and freedom of its fits."""
 
     perturber: PerturberBlock
+    nested: NestedBlock | None
+    marginalise_lens: bool = False
     step_arcsec: Positive
-    window_arcsec: tuple[Positive, Positive]
+    window_arcsec: tuple[Positive, Positive] | None
     center: Point
     shard_size: Annotated[int, Field(ge=1)]
+    residual_samples: list[Annotated[int, Field(ge=0)]] = []
+    statistics: list[Literal["delta_r", "amplitude"]] = ["delta_r"]
+    sensitivity: SensitivityBlock | None = None
+
+    @model_validator(mode="after")
+    def _statistics(self) -> ScanBlock:
+        if self.statistics not in (["delta_r"], ["delta_r", "amplitude"]):
+            raise ValueError(f"statistics must be [delta_r] or [delta_r, amplitude], got {self.statistics}")
+        if self.sensitivity is not None and "amplitude" not in self.statistics:
+            raise ValueError(
+                "sensitivity is made from the linear response; with it set statistics: [delta_r, amplitude]"
+            )
+        return self
 
     @model_validator(mode="after")
     def _window(self) -> ScanBlock:
-        for side in self.window_arcsec:
+        for side in self.window_arcsec or ():
             if side < self.step_arcsec:
                 raise ValueError(f"window_arcsec {side:g} is smaller than step_arcsec {self.step_arcsec:g}")
+        if self.window_arcsec is None and self.center != (0.0, 0.0):
+            raise ValueError("center is that of window_arcsec; with window_arcsec: null leave it at [0.0, 0.0]")
+        if len(set(self.residual_samples)) != len(self.residual_samples):
+            raise ValueError(f"residual_samples names a sample twice: {self.residual_samples}")
         return self
 
 
@@ -359,6 +527,22 @@ class Config(Block):
     observation: ObservationBlock
     smooth_model: SmoothModelBlock
     deflections: DeflectionsBlock
+    mocks: MocksBlock = MocksBlock()
     scan: ScanBlock
     summaries: SummariesBlock
     abc: AbcBlock
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Config:
+        beyond = [i for i in self.scan.residual_samples if i >= self.campaign.n_samples]
+        if beyond:
+            raise ValueError(
+                f"scan.residual_samples {beyond} do not exist: campaign.n_samples = {self.campaign.n_samples}, "
+                "samples are counted from 0"
+            )
+        if self.scan.marginalise_lens and self.smooth_model.mode == "given":
+            raise ValueError(
+                "scan.marginalise_lens needs the errors of the lens, which smooth_model.mode: given has not; "
+                "use mode: fit"
+            )
+        return self

@@ -19,14 +19,16 @@ SINGLE = {
 CHUNKED = ("halos", "deflections", "mocks", "scans", "summaries")
 FIGURES = (
     "smooth_model",
+    "psf",
     "halo_maps",
     "deflection_maps",
     "mocks",
     "delta_r",
+    "scan_plane",
     "correlation",
     "posterior",
 )
-FIGURE_VERSION = 1  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
+FIGURE_VERSION = 3  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
 CONFIG = "config.json"
 TABLE = "abc.csv"
 
@@ -38,9 +40,18 @@ def chunks(config: Config) -> list[Span]:
 
 def shards(config: Config) -> list[Span]:
     """Spans of scan positions, one a shard of the operator."""
+    return shard_spans(_n_positions(config), config.scan.shard_size)
+
+
+def _n_positions(config: Config) -> int:
     scan = config.scan
-    n_positions = Raster(*scan.window_arcsec, scan.step_arcsec, scan.center).n_positions
-    return shard_spans(n_positions, scan.shard_size)
+    if scan.window_arcsec is not None:
+        return Raster(*scan.window_arcsec, scan.step_arcsec, scan.center).n_positions
+    # Without a window the raster follows the masks, which are in the images themselves.
+    from warmlens.stages.observation import planned_mask
+
+    grid, mask = planned_mask(config.observation)
+    return Raster.around(mask, grid, scan.step_arcsec).n_positions
 
 
 def stage_files(config: Config, stage: str) -> list[Path]:

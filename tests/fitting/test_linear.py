@@ -64,6 +64,42 @@ def test_solution_minimises_the_objective(parts, model):
     np.testing.assert_allclose(fit.residual, whitened - model.design @ expected, atol=1e-10)
 
 
+def test_prior_of_single_columns(parts):
+    """A Gaussian prior on an amplitude is one more datum, amplitude / sigma = 0 +- 1; elsewhere the ridge."""
+    source, fixed, convolution, weights = parts
+    sigma = np.array([np.inf, 3e-3, 0.2])
+    model = build_linear_model(*parts, RIDGE, sigma)
+    np.testing.assert_array_equal(model.prior[:13], RIDGE)
+    np.testing.assert_allclose(model.prior[13:] * model.column_norms[13:] ** 2, sigma[1:] ** -2.0, rtol=1e-13)
+    gram = model.design.T @ model.design + np.diag(model.prior)
+    np.testing.assert_allclose(model.inverse_factor @ gram @ model.inverse_factor.T, np.eye(15), atol=1e-10)
+
+    whitened = np.random.default_rng(16).normal(size=(480, 4)) * (weights.ravel()[:, None] > 0)
+    fit = solve(model, whitened)
+    columns = np.hstack([convolution.forward(source.T.reshape(-1, *SHAPE)).reshape(12, -1).T, fixed])
+    rows = np.diag(np.concatenate([np.sqrt(RIDGE) * model.column_norms[:13], 1.0 / sigma[1:]]))
+    stacked = np.vstack([weights.reshape(-1, 1) * columns, rows])
+    target = np.vstack([whitened, np.zeros((15, 4))])
+    expected = np.linalg.lstsq(stacked / model.column_norms, target)[0] / model.column_norms[:, None]
+    np.testing.assert_allclose(physical_coefficients(model, fit.coefficients), expected, rtol=1e-6, atol=1e-9)
+    objective = np.sum((target - stacked @ expected) ** 2, axis=0)
+    np.testing.assert_allclose(fit.chi2 + fit.penalty, objective, rtol=1e-12)
+    free = solve(build_linear_model(*parts, RIDGE), whitened)
+    assert np.all(np.abs(fit.coefficients[13]) < 0.1 * np.abs(free.coefficients[13]))
+
+
+def test_infinite_prior_width_is_the_ridge(parts, model):
+    same = build_linear_model(*parts, RIDGE, np.full(3, np.inf))
+    np.testing.assert_array_equal(same.prior, model.prior)
+    np.testing.assert_array_equal(same.inverse_factor, model.inverse_factor)
+
+
+@pytest.mark.parametrize("sigma", [[1.0, 1.0], [1.0, 0.0, 1.0], [1.0, np.nan, 1.0]])
+def test_impossible_prior_width_is_refused(parts, sigma):
+    with pytest.raises(ValueError, match="fixed_sigma"):
+        build_linear_model(*parts, RIDGE, np.array(sigma))
+
+
 def test_noise_leaves_as_much_chi2_as_degrees_of_freedom(parts, model):
     unmasked = parts[3].ravel() > 0.0
     noise = np.random.default_rng(7).normal(size=(480, 400)) * unmasked[:, None]

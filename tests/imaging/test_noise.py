@@ -35,3 +35,22 @@ def test_noise_of_a_map() -> None:
 
 def test_quasar_variance() -> None:
     np.testing.assert_allclose(with_quasar_variance(np.array([3.0, 3.0]), np.array([0.0, 40.0]), 0.1), [3.0, 5.0])
+
+
+def test_moments_of_a_mock_s_noise() -> None:
+    """Mean, variance and skewness of Poisson counts and Gaussian background, and no correlation of pixels."""
+    rng = np.random.default_rng(5)
+    model = NoiseModel(background_rms=0.004, exposure_s=2000.0)
+    level = 0.02  # 40 counts
+    drawn = model.draw(np.full((1000, 1000), level), np.ones((1000, 1000)), rng) - level
+    variance = 0.004**2 + level / 2000.0
+    n = drawn.size
+    assert abs(drawn.mean()) < 5.0 * np.sqrt(variance / n)
+    assert drawn.var() == pytest.approx(variance, rel=5.0 * np.sqrt(2.0 / n) * 1.1)
+    # third moment of the Poisson part alone: counts / exposure^3
+    assert (drawn**3).mean() == pytest.approx(level / 2000.0**2, abs=4.0 * np.sqrt(15.0 * variance**3 / n))
+    assert level / 2000.0**2 > 9.0 * np.sqrt(15.0 * variance**3 / n)  # a Gaussian would be seen
+    for neighbour in (drawn[:, 1:] * drawn[:, :-1], drawn[1:] * drawn[:-1]):
+        assert abs(neighbour.mean()) < 5.0 * variance / np.sqrt(neighbour.size)
+    again = model.draw(np.full((1000, 1000), level), np.ones((1000, 1000)), np.random.default_rng(5)) - level
+    assert np.array_equal(drawn, again)

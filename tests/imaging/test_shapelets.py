@@ -92,3 +92,23 @@ def test_wrong_shapes_are_refused(rays):
         surface_brightness(TWO_SETS, np.zeros(33), x, y)
     with pytest.raises(ValueError, match="at least one"):
         basis((), x[:, 0], y[:, 0])
+
+
+def test_clumps_far_from_most_rays():
+    """Rays beyond a clump's reach are left out; what is left out is nothing, near and far."""
+    sets = (ShapeletSet(12, 0.2, 0.0, 0.0), *(ShapeletSet(3, 0.02, 0.1 * i - 0.7, 0.05 * i) for i in range(15)))
+    coefficients = np.random.default_rng(6).normal(size=n_coefficients(sets))
+    x, y = np.random.default_rng(7).uniform(-3.0, 3.0, (2, 5000))
+    x[:200], y[:200] = x[:200] * 0.1, y[:200] * 0.1 + 0.3
+    expected = basis(sets, x, y) @ coefficients
+    np.testing.assert_allclose(surface_brightness(sets, coefficients, x, y), expected, rtol=0, atol=1e-13)
+    clump = sets[-1]
+    edge = clump.center_x + clump.beta * (np.sqrt(7.0) + np.array([5.0, 7.99, 8.01]))
+    values = surface_brightness([clump], np.ones(10), edge, np.full(3, clump.center_y))
+    assert values[0] != 0.0 and values[1] != 0.0 and values[2] == 0.0
+    assert abs(values[1]) < 1e-15
+
+
+def test_a_ray_that_is_no_number_is_not_dark():
+    values = surface_brightness([ShapeletSet(3, 0.1, 0.0, 0.0)], np.ones(10), np.array([np.nan, 0.1]), np.zeros(2))
+    assert np.isnan(values[0]) and np.isfinite(values[1])

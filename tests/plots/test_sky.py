@@ -100,6 +100,15 @@ def test_colour_bar_has_its_label_and_points_where_data_go_beyond(panel, limits,
     assert bar.ax.get_ylabel() == "flux [e$^-$ s$^{-1}$]"
 
 
+@pytest.mark.parametrize("stretch", ["linear", "asinh"])
+def test_colour_bar_on_top_lies_above_its_panel(panel, stretch):
+    bar = add_colour_bar(draw_image(panel, IMAGE, GRID, stretch), panel, "flux", "top")
+    panel.figure.canvas.draw()
+    assert bar.ax.get_xlabel() == "flux"
+    assert bar.ax.get_window_extent().y0 > panel.get_window_extent().y1
+    assert bar.ax.get_window_extent().width == pytest.approx(panel.get_window_extent().width)
+
+
 def test_ticks_of_an_asinh_bar_leave_out_the_crowd_around_zero(panel):
     artist = draw_image(panel, IMAGE, GRID, "asinh", (-30.0, 200.0), linear_width=2.0)
     assert add_colour_bar(artist, panel, "flux").get_ticks().tolist() == [-10.0, 0.0, 10.0, 100.0]

@@ -10,7 +10,8 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.maps import delta_r, residual_images
+from warmlens.scan.maps import delta_r, residual_images, residual_maps
+from warmlens.scan.nested import NestedShapelets
 from warmlens.scan.operator import BandProjection, build_shard, project_band
 from warmlens.scan.perturber import Perturber
 from warmlens.scan.raster import Raster
@@ -28,9 +29,23 @@ class Band(NamedTuple):
     projection: BandProjection
     perturber: Perturber
 
-    def shard(self, positions):
+    def shard(self, positions, nested=None):
         return build_shard(
-            self.model, self.projection, self.weights, self.sets, self.rays, self.perturber, positions
+            self.model,
+            self.projection,
+            self.convolution,
+            self.weights,
+            self.sets,
+            self.rays,
+            self.perturber,
+            positions,
+            nested,
+        )
+
+    def residual_maps(self, shard, images):
+        fit = solve(self.model, self.whiten(images))
+        return residual_maps(
+            shard, self.model, fit, self.sets, self.rays, self.perturber, self.convolution, self.weights
         )
 
     def whiten(self, images):
@@ -69,6 +84,16 @@ def raster():
 @pytest.fixture(scope="session")
 def shard(band, raster):
     return band.shard(raster.coordinates())
+
+
+@pytest.fixture(scope="session")
+def nested():
+    return NestedShapelets(5, 1e-5, (0.02, 0.1))
+
+
+@pytest.fixture(scope="session")
+def nested_shard(band, raster, nested):
+    return band.shard(raster.coordinates(), nested)
 
 
 @pytest.fixture(scope="session")

@@ -116,6 +116,7 @@ def test_other_basis_than_the_model_is_refused(band):
         build_shard(
             band.model,
             band.projection,
+            band.convolution,
             band.weights,
             (ShapeletSet(3, 0.1, 0.0, 0.0),),
             band.rays,

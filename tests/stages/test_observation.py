@@ -85,6 +85,7 @@ def test_nothing_but_a_source(ci: Config, tmp_path: Path) -> None:
     for band in raw["observation"]["simulated"]["bands"].values():
         band.update(quasar_fluxes=[], lens_light_amplitudes=[], sky=0.0)
     raw["smooth_model"].update(quasar_images=[], lens_light=nothing, fit_background=False)
+    raw["smooth_model"]["source"]["center"] = (-0.503, -0.058)
     config = parse_config(raw)
     observation.run(stage_settings(config, "observation"), tmp_path / "o.h5")
     smooth_model.run(stage_settings(config, "smooth_model"), tmp_path / "o.h5", tmp_path / "s.h5")

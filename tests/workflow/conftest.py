@@ -29,7 +29,7 @@ TINY: dict[str, Any] = {
             "source": {"n_clumps": 4, "clump_sigma_arcsec": [0.09, 0.14]},
         }
     },
-    "smooth_model": {"source": {"n_max": 8}},
+    "smooth_model": {"mode": "given", "allow_poor_fit": True, "source": {"n_max": 8, "clumps": None}},
     "scan": {"step_arcsec": 0.3, "window_arcsec": [4.2, 4.2], "shard_size": 100},
     "summaries": {"max_separation_arcsec": 2.4},
     "abc": {"fraction": 0.3, "bootstrap": 100},

@@ -13,10 +13,12 @@ def one(stage):
 
 FIGURE_ARTIFACTS = {
     "smooth_model": one("observation") + one("smooth_model"),
+    "psf": one("observation") + one("smooth_model"),
     "halo_maps": first("halos"),
     "deflection_maps": one("observation") + first("deflections"),
     "mocks": one("observation") + one("smooth_model") + first("mocks"),
     "delta_r": one("observed_scan") + first("scans"),
+    "scan_plane": one("observed_scan"),
     "correlation": one("observed_summary") + every("summaries"),
     "posterior": one("abc"),
 }

@@ -1,7 +1,8 @@
 """The linear part of a fit of one band: coefficients of source, quasars and other fixed columns.
 
-J(x) = |d - A x|^2 + ridge |x|^2, with A = W P B (docs/scan.md) and its columns scaled to unit norm. A does not
-depend on the data, so its factorisation is made once and every image after that costs matrix products.
+J(x) = |d - A x|^2 + x.Lambda x, with A = W P B (docs/scan.md), its columns scaled to unit norm, and a diagonal
+Gaussian prior Lambda: a weak ridge, or what is known of a column's amplitude. A does not depend on the data, so
+its factorisation is made once and every image after that costs matrix products.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 from scipy import linalg
 
 from warmlens.imaging.psf import Convolution
-from warmlens.types import FloatArray
+from warmlens.types import FloatArray, IntArray
 
 _BLOCK_COLUMNS = 64
 
@@ -28,9 +29,9 @@ class LinearModel:
     column_norms
         Norms of the whitened columns before scaling [n].
     inverse_factor
-        L^-1 [n, n], lower triangular, L L^T = A^T A + ridge * I.
-    ridge
-        Weight of the Gaussian prior on the scaled coefficients (Lambda = ridge * I).
+        L^-1 [n, n], lower triangular, L L^T = A^T A + Lambda.
+    prior
+        Diagonal of Lambda [n], > 0: the weight of the Gaussian prior on each scaled coefficient.
     n_source
         Number of leading columns that a change of the deflection moves: the source.
     """
@@ -38,7 +39,7 @@ class LinearModel:
     design: FloatArray
     column_norms: FloatArray
     inverse_factor: FloatArray
-    ridge: float
+    prior: FloatArray
     n_source: int
 
 
@@ -55,7 +56,7 @@ class LinearFit:
     chi2
         |r|^2 [k].
     penalty
-        ridge |x|^2 [k]; chi2 + penalty is the minimum J.
+        x.Lambda x [k]; chi2 + penalty is the minimum J.
     """
 
     coefficients: FloatArray
@@ -70,6 +71,7 @@ def build_linear_model(
     convolution: Convolution,
     weights: FloatArray,
     ridge: float,
+    fixed_sigma: FloatArray | None = None,
 ) -> LinearModel:
     """Convolve, whiten, scale and factorise the columns of one band.
 
@@ -87,6 +89,9 @@ def build_linear_model(
         1 / sigma, 0 where masked [ny, nx].
     ridge
         Prior weight (`smooth_model.ridge`), > 0; small against 1, the norm of a column.
+    fixed_sigma
+        Standard deviation of the Gaussian prior on the amplitude of each fixed column, as the column is
+        given [n_fixed], > 0; infinite (or None for all) where there is the ridge alone.
 
     Returns
     -------
@@ -104,20 +109,20 @@ def build_linear_model(
         raise ValueError("weights (1/sigma) must be finite and >= 0; give masked pixels the weight 0")
     if not (np.isfinite(ridge) and ridge > 0.0):
         raise ValueError(f"smooth_model.ridge must be a positive number, got {ridge!r}")
+    n_fixed = fixed_columns.shape[1]
+    sigma = np.full(n_fixed, np.inf) if fixed_sigma is None else np.asarray(fixed_sigma, dtype=np.float64)
+    if sigma.shape != (n_fixed,) or not np.all(sigma > 0.0):
+        raise ValueError(
+            f"fixed_sigma must hold one positive number (or inf for no prior) for each of the {n_fixed} fixed "
+            f"columns, got {sigma!r}"
+        )
 
-    design = np.empty((npix, n_source + fixed_columns.shape[1]))
-    flat_weights = weights.reshape(npix, 1)
-    for first in range(0, n_source, _BLOCK_COLUMNS):
-        block = slice(first, min(first + _BLOCK_COLUMNS, n_source))
-        images = np.ascontiguousarray(source_columns[:, block].T).reshape(-1, ny, nx)
-        design[:, block] = flat_weights * convolution.forward(images).reshape(-1, npix).T  # A = W P B
-    design[:, n_source:] = flat_weights * fixed_columns
-
-    column_norms = np.sqrt(np.einsum("pi,pi->i", design, design))
-    _check_columns(column_norms, n_source)
-    design /= column_norms
+    design, column_norms = whitened_design(source_columns, fixed_columns, convolution, weights, slice(None))
     gram = design.T @ design
-    gram[np.diag_indices_from(gram)] += ridge
+    prior = np.full(column_norms.size, float(ridge))
+    known = np.isfinite(sigma)
+    prior[n_source:][known] = 1.0 / (sigma * column_norms[n_source:])[known] ** 2  # of the scaled coefficient
+    gram[np.diag_indices_from(gram)] += prior
     factor, info = linalg.lapack.dpotrf(gram.T, lower=1, clean=1, overwrite_a=1)
     # The square of a pivot is what the columns before leave of a column of unit norm.
     smallest = float(np.diagonal(factor).min()) ** 2 if info == 0 else 0.0
@@ -128,7 +133,43 @@ def build_linear_model(
             "works in double precision), or lower smooth_model.source.n_max"
         )
     inverse_factor, _ = linalg.lapack.dtrtri(factor, lower=1)
-    return LinearModel(design, column_norms, np.ascontiguousarray(inverse_factor), ridge, n_source)
+    return LinearModel(design, column_norms, np.ascontiguousarray(inverse_factor), prior, n_source)
+
+
+def whitened_design(
+    source_columns: FloatArray,
+    fixed_columns: FloatArray,
+    convolution: Convolution,
+    weights: FloatArray,
+    rows: IntArray | slice,
+) -> tuple[FloatArray, FloatArray]:
+    """Design matrix A = W P B with columns of unit norm, and the norms before scaling.
+
+    Parameters
+    ----------
+    source_columns, fixed_columns, convolution, weights
+        As in `build_linear_model`.
+    rows
+        Which flat pixels to keep: all, or the unmasked ones.
+
+    Returns
+    -------
+    tuple
+        A [n_rows, n] and norms [n].
+    """
+    ny, nx = convolution.shape
+    npix, n_source = source_columns.shape
+    flat_weights = weights.reshape(npix, 1)[rows]
+    design = np.empty((flat_weights.shape[0], n_source + fixed_columns.shape[1]))
+    for first in range(0, n_source, _BLOCK_COLUMNS):
+        block = slice(first, min(first + _BLOCK_COLUMNS, n_source))
+        images = np.ascontiguousarray(source_columns[:, block].T).reshape(-1, ny, nx)
+        design[:, block] = flat_weights * convolution.forward(images).reshape(-1, npix).T[rows]
+    design[:, n_source:] = flat_weights * fixed_columns[rows]
+    column_norms = np.sqrt(np.einsum("pi,pi->i", design, design))
+    _check_columns(column_norms, n_source)
+    design /= column_norms
+    return design, column_norms
 
 
 def _check_columns(column_norms: FloatArray, n_source: int) -> None:
@@ -168,7 +209,7 @@ def solve(model: LinearModel, whitened: FloatArray) -> LinearFit:
     coefficients = model.inverse_factor.T @ projected  # x = (A^T A + Lambda)^-1 A^T d
     residual = whitened - model.design @ coefficients
     chi2 = np.einsum("pk,pk->k", residual, residual)
-    penalty = model.ridge * np.einsum("nk,nk->k", coefficients, coefficients)
+    penalty = np.einsum("n,nk,nk->k", model.prior, coefficients, coefficients)
     return LinearFit(coefficients, residual, chi2, penalty)
 
 

@@ -1,17 +1,18 @@
-"""The smooth model of one band: lens given, amplitudes of source, quasars and light solved for."""
+"""The finished smooth model of one band: amplitudes, image, noise and how well it fits."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from warmlens.fitting.linear import LinearModel, build_linear_model, physical_coefficients, solve
-from warmlens.imaging.noise import with_quasar_variance
-from warmlens.imaging.observation import Band
+import numpy as np
+
+from warmlens.fitting.image_model import ImageModel, Solution
+from warmlens.fitting.linear import LinearModel, build_linear_model
 from warmlens.imaging.psf import Convolution
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.rays import SmoothRays
-from warmlens.types import FloatArray
+from warmlens.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -44,9 +45,17 @@ class BandFit:
     fixed_image, model
         Light that is not the source's, and everything, [ny, nx] [e-/s per pixel].
     sigma
-        Noise with the quasars' PSF error, [ny, nx] [e-/s per pixel].
-    chi2, n_pixels, n_columns
-        Sum over the unmasked pixels of (data - model)^2 / sigma^2, their number, and the amplitudes fitted.
+        Noise with the quasars' PSF error, inf where masked, [ny, nx] [e-/s per pixel].
+    psf
+        Point spread function of the model, sum 1.
+    chi2, n_pixels
+        Sum over the unmasked pixels of (data - model)^2 / sigma^2, and their number.
+    chi2_outside_cores, n_pixels_outside_cores
+        The same without the cores of the quasar images.
+    chi2_noise_only
+        As `chi2_outside_cores`, with the noise of the observation alone.
+    n_columns
+        Amplitudes fitted.
     """
 
     source_coefficients: FloatArray
@@ -54,14 +63,28 @@ class BandFit:
     fixed_image: FloatArray
     model: FloatArray
     sigma: FloatArray
+    psf: FloatArray
     chi2: float
     n_pixels: int
+    chi2_outside_cores: float
+    n_pixels_outside_cores: int
+    chi2_noise_only: float
     n_columns: int
 
     @property
     def chi2_red(self) -> float:
         """chi2 per degree of freedom."""
         return self.chi2 / (self.n_pixels - self.n_columns)
+
+    @property
+    def chi2_red_outside_cores(self) -> float:
+        """chi2 per degree of freedom without the cores of the quasar images."""
+        return self.chi2_outside_cores / (self.n_pixels_outside_cores - self.n_columns)
+
+    @property
+    def chi2_red_noise_only(self) -> float:
+        """The same with the noise of the observation alone, no error of the PSF."""
+        return self.chi2_noise_only / (self.n_pixels_outside_cores - self.n_columns)
 
 
 def linear_model(
@@ -71,61 +94,60 @@ def linear_model(
     convolution: Convolution,
     weights: FloatArray,
     ridge: float,
+    fixed_sigma: FloatArray | None = None,
 ) -> LinearModel:
     """Whitened design of one band: source shapelets along the smooth rays, then the fixed columns."""
     source = pixel_basis(sets, rays.source_x, rays.source_y)
-    return build_linear_model(source, fixed.images, convolution, weights, ridge)
+    return build_linear_model(source, fixed.images, convolution, weights, ridge, fixed_sigma)
 
 
-def fit_band(
-    band: Band,
-    sets: Sequence[ShapeletSet],
-    rays: SmoothRays,
-    fixed: FixedColumns,
-    convolution: Convolution,
-    ridge: float,
-    quasar_variance_fraction: float,
+def band_fit(
+    model: ImageModel, solution: Solution, number: int, noise_sigma: FloatArray, outside_cores: BoolArray
 ) -> BandFit:
-    """Solve for all amplitudes of a band.
+    """What the campaign needs of one band of a solved model.
 
-    With `quasar_variance_fraction` > 0 the fluxes of a first fit set the variance near the quasars, and the
-    fit is repeated with it.
+    Parameters
+    ----------
+    model, solution, number
+        Model, its best amplitudes, and which band.
+    noise_sigma
+        Noise of the observation alone [ny, nx].
+    outside_cores
+        Pixels that are not in the core of a quasar image [ny, nx].
 
     Raises
     ------
     ValueError
         If there are not more pixels than amplitudes.
     """
-    n_columns = sum(item.n_coefficients for item in sets) + fixed.images.shape[1]
-    n_pixels = int(band.mask.sum())
-    if n_pixels <= n_columns:
+    band, solved = model.bands[number], solution.bands[number]
+    shape = model.grid.shape
+    used = band.weights > 0.0
+    n_columns = solved.amplitudes.size
+    outside = outside_cores.ravel()[solved.pixels]
+    if np.count_nonzero(outside) <= n_columns:
         raise ValueError(
-            f"band {band.name}: {n_columns} amplitudes for {n_pixels} unmasked pixels; "
-            "lower smooth_model.source.n_max or unmask more pixels"
+            f"band {band.name}: {n_columns} amplitudes for {np.count_nonzero(outside)} unmasked pixels outside "
+            "the quasars' cores; lower smooth_model.source.n_max or unmask more pixels"
         )
-    weighted = band
-    passes = 2 if quasar_variance_fraction > 0 else 1
-    for number in range(passes):
-        weights = weighted.weights
-        model = linear_model(sets, rays, fixed, convolution, weights, ridge)
-        whitened = (weights * band.image).reshape(-1, 1)
-        fit = solve(model, whitened)
-        coefficients = physical_coefficients(model, fit.coefficients)[:, 0]
-        fixed_coefficients = coefficients[model.n_source :]
-        if number + 1 < passes:
-            quasars = fixed.images[:, : fixed.n_quasars] @ fixed_coefficients[: fixed.n_quasars]
-            sigma = with_quasar_variance(band.sigma, quasars.reshape(band.image.shape), quasar_variance_fraction)
-            weighted = replace(band, sigma=sigma)
-    source = coefficients[: model.n_source]
-    light = pixel_basis(sets, rays.source_x, rays.source_y) @ source
-    fixed_image = (fixed.images @ fixed_coefficients).reshape(band.image.shape)
+    sigma = np.full(band.weights.size, np.inf)
+    sigma[solved.pixels] = 1.0 / band.weights.ravel()[solved.pixels]
+    residual = solved.residual * sigma[solved.pixels]
+    fixed_image = np.tensordot(solved.fixed_amplitudes, solved.fixed, axes=1)
+    source = solved.amplitudes[: solved.n_source]
+    light = pixel_basis(solution.sets, solution.source_x, solution.source_y) @ source
+    noise = noise_sigma.ravel()[solved.pixels]
     return BandFit(
         source_coefficients=source,
-        fixed_coefficients=fixed_coefficients,
+        fixed_coefficients=solved.fixed_amplitudes,
         fixed_image=fixed_image,
-        model=convolution.forward(light.reshape(band.image.shape)) + fixed_image,
-        sigma=weighted.sigma,
-        chi2=float(fit.chi2[0]),
-        n_pixels=n_pixels,
+        model=model.convolutions[number].forward(light.reshape(shape)) + fixed_image,
+        sigma=sigma.reshape(shape),
+        psf=band.psf,
+        chi2=solved.chi2,
+        n_pixels=int(used.sum()),
+        chi2_outside_cores=float(np.sum(solved.residual[outside] ** 2)),
+        n_pixels_outside_cores=int(outside.sum()),
+        chi2_noise_only=float(np.sum((residual / noise)[outside] ** 2)),
         n_columns=n_columns,
     )

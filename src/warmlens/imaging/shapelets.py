@@ -22,6 +22,8 @@ from numba import njit
 
 from warmlens.types import FloatArray
 
+DARK_BEYOND = 8.0  # u past the turning point sqrt(2 n + 1) of phi_n where it has fallen below 1e-17
+
 
 @dataclass(frozen=True)
 class ShapeletSet:
@@ -234,6 +236,7 @@ def _sum_brightness(
     packed: FloatArray, factors: FloatArray, coefficients: FloatArray, x: FloatArray, y: FloatArray
 ) -> FloatArray:
     out = np.zeros(x.size)
+    near = np.empty(x.size, dtype=np.int64)
     start = 0
     for item in range(packed.shape[0]):
         n_max = int(packed[item, 0])
@@ -242,15 +245,24 @@ def _sum_brightness(
             for n2 in range(total + 1):
                 table[total - n2, n2] = coefficients[start]
                 start += 1
-        for first in range(0, x.size, 64):
-            last = min(first + 64, x.size)
-            phi_x = np.empty((n_max + 1, last - first))
-            phi_y = np.empty((n_max + 1, last - first))
-            _hermite_functions((x[first:last] - packed[item, 2]) / packed[item, 1], factors, phi_x)
-            _hermite_functions((y[first:last] - packed[item, 3]) / packed[item, 1], factors, phi_y)
+        reach = packed[item, 1] * (math.sqrt(2.0 * n_max + 1.0) + DARK_BEYOND)
+        n_near = 0
+        for ray in range(x.size):  # a clump is seen by few rays: the others are left out
+            near[n_near] = ray
+            far = (abs(x[ray] - packed[item, 2]) >= reach) | (abs(y[ray] - packed[item, 3]) >= reach)
+            n_near += not far  # written so that NaN is near, and comes out as NaN
+        for first in range(0, n_near, 64):
+            rays = near[first : min(first + 64, n_near)]
+            phi_x = np.empty((n_max + 1, rays.size))
+            phi_y = np.empty((n_max + 1, rays.size))
+            _hermite_functions((x[rays] - packed[item, 2]) / packed[item, 1], factors, phi_x)
+            _hermite_functions((y[rays] - packed[item, 3]) / packed[item, 1], factors, phi_y)
             # sum over n1 of phi_n1(x) [sum over n2 of c_(n1,n2) phi_n2(y)]
             inner = np.dot(table, phi_y)
+            light = np.zeros(rays.size)
             for n1 in range(n_max + 1):
-                for i in range(last - first):
-                    out[first + i] += phi_x[n1, i] * inner[n1, i]
+                for i in range(rays.size):
+                    light[i] += phi_x[n1, i] * inner[n1, i]
+            for i in range(rays.size):
+                out[rays[i]] += light[i]
     return out

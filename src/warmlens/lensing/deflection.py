@@ -21,8 +21,11 @@ from numba import njit
 from warmlens.types import FloatArray
 
 X_FLOOR = 1e-4  # in units of min(r_s, r_t): m(s) loses digits below, and s there no longer matters
-NODE_BITS = 3  # 2**NODE_BITS nodes per factor of two in s: cubic Hermite error < 2e-5
+NODE_BITS = 4  # 2**NODE_BITS nodes per factor of two in s: cubic Hermite error < 2e-6
 SEGMENT_SHIFT = 52 - NODE_BITS
+FRACTION_MASK = (1 << SEGMENT_SHIFT) - 1
+EXPONENT_OF_ONE = 0x3FF0000000000000  # bits of 1.0: with a mantissa they make a number in [1, 2)
+BLOCK = 512  # rays
 
 
 def tnfw_angular_scales(
@@ -92,7 +95,7 @@ def tnfw_deflection(
     Notes
     -----
     The radial function of each subhalo is tabulated (cubic Hermite, exact values and slopes at the nodes);
-    the error is below 2e-5 of the deflection itself.
+    the error is below 2e-6 of the deflection itself.
 
     Reference: Birrer+2017 sec. 3.2, alpha_dm; docs/halos.md, item 10.
     """
@@ -196,8 +199,8 @@ def _mass_and_density(s: float, tau: float) -> tuple[float, float]:
 
 
 @njit(cache=True, error_model="numpy")
-def _radial_table(s_floor: float, s_last: float, tau: float) -> npt.NDArray[np.float64]:
-    """Cubic Hermite coefficients [segment, 4] of h(s) = m(s) / s from s_floor to beyond s_last.
+def radial_table(s_floor: float, s_last: float, tau: float) -> npt.NDArray[np.float64]:
+    """Cubic Hermite coefficients [segment, 4] of h(s) = m(s) / s, from s_floor to beyond s_last.
 
     The nodes are the numbers whose mantissa ends after `NODE_BITS` bits: evenly spaced within each factor of
     two of s, so nearly even in ln s, and the segment of a ray is read off the bits of s without a logarithm.
@@ -221,7 +224,19 @@ def _radial_table(s_floor: float, s_last: float, tau: float) -> npt.NDArray[np.f
     return table
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
+def read_table(flat: npt.NDArray[np.float64], first: int, s: float) -> float:
+    """h(s) of the table [4 n_segments], flattened, whose first segment has the number `first`.
+
+    The place within the segment is the mantissa below the segment's bits, read as a number in [1, 2).
+    """
+    bits = np.float64(s).view(np.int64)
+    i = np.uint64(4 * ((bits >> SEGMENT_SHIFT) - first))  # unsigned: no wrap-around test in the inner loop
+    t = np.int64(((bits & FRACTION_MASK) << NODE_BITS) | EXPONENT_OF_ONE).view(np.float64) - 1.0
+    return flat[i] + t * (flat[i + np.uint64(1)] + t * (flat[i + np.uint64(2)] + t * flat[i + np.uint64(3)]))
+
+
+@njit(cache=True, fastmath={"contract"}, error_model="numpy")
 def _sum_deflections(
     x: npt.NDArray[np.float64],
     y: npt.NDArray[np.float64],
@@ -231,14 +246,18 @@ def _sum_deflections(
     r_t: npt.NDArray[np.float64],
     alpha_scale: npt.NDArray[np.float64],
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Deflections (x, y) of flat rays; one table per subhalo, read by all rays."""
+    """Deflections (x, y) of flat rays; one table per subhalo, read by all rays.
+
+    Rays go in blocks and a block in four loops, of which all but the one that reads the table are vector
+    operations; it is `read_table`, taken apart.
+    """
     alpha_x = np.zeros(x.size)
     alpha_y = np.zeros(x.size)
     if x.size == 0:
         return alpha_x, alpha_y
     x_low, x_high, y_low, y_high = x.min(), x.max(), y.min(), y.max()
-    fraction_mask = (np.int64(1) << SEGMENT_SHIFT) - 1
-    to_fraction = 1.0 / (np.int64(1) << SEGMENT_SHIFT)
+    place, s, t, h = np.empty(BLOCK, np.int64), np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
+    s_bits, t_bits = s.view(np.int64), t.view(np.int64)
     for k in range(center_x.size):
         x_k, y_k, inverse_r_s2 = center_x[k], center_y[k], 1.0 / r_s[k] ** 2
         tau = r_t[k] / r_s[k]
@@ -246,18 +265,25 @@ def _sum_deflections(
         far_x = max(abs(x_low - x_k), abs(x_high - x_k))
         far_y = max(abs(y_low - y_k), abs(y_high - y_k))
         s_last = max(s_floor, (far_x * far_x + far_y * far_y) * inverse_r_s2)
-        table = _radial_table(s_floor, s_last, tau)
         first = np.float64(s_floor).view(np.int64) >> SEGMENT_SHIFT
-        front = alpha_scale[k] / r_s[k]
-        for j in range(x.size):
-            dx = x[j] - x_k
-            dy = y[j] - y_k
-            bits = np.float64(max(s_floor, (dx * dx + dy * dy) * inverse_r_s2)).view(np.int64)
-            i = np.uint64((bits >> SEGMENT_SHIFT) - first)  # unsigned: no wrap-around test in the inner loop
-            t = (bits & fraction_mask) * to_fraction
-            h = front * (table[i, 0] + t * (table[i, 1] + t * (table[i, 2] + t * table[i, 3])))
-            alpha_x[j] += h * dx  # alpha = M2 / (pi Sigma_cr R^2) theta
-            alpha_y[j] += h * dy
+        flat = (alpha_scale[k] / r_s[k] * radial_table(s_floor, s_last, tau)).ravel()
+        for start in range(0, x.size, BLOCK):
+            n = min(BLOCK, x.size - start)
+            x_ray, y_ray = x[start : start + n], y[start : start + n]
+            sum_x, sum_y = alpha_x[start : start + n], alpha_y[start : start + n]
+            for j in range(n):
+                value = ((x_ray[j] - x_k) ** 2 + (y_ray[j] - y_k) ** 2) * inverse_r_s2
+                s[j] = value if value > s_floor else s_floor
+            for j in range(n):
+                place[j] = 4 * ((s_bits[j] >> SEGMENT_SHIFT) - first)
+                t_bits[j] = ((s_bits[j] & FRACTION_MASK) << NODE_BITS) | EXPONENT_OF_ONE
+            for j in range(n):
+                i, u = np.uint64(place[j]), t[j] - 1.0
+                high = flat[i + np.uint64(2)] + u * flat[i + np.uint64(3)]
+                h[j] = flat[i] + u * (flat[i + np.uint64(1)] + u * high)
+            for j in range(n):
+                sum_x[j] += h[j] * (x_ray[j] - x_k)  # alpha = M2 / (pi Sigma_cr R^2) theta
+                sum_y[j] += h[j] * (y_ray[j] - y_k)
     return alpha_x, alpha_y
 
 

@@ -1,16 +1,36 @@
-"""High-pass filter that keeps only what substructure adds to the deflection on small scales."""
+"""High-pass filters that keep only what substructure adds to the deflection on small scales.
+
+Each takes off a smoothed deflection. `gaussian` is the paper's; `starlet` and `median_wavelet` sum the finest
+scales of a multiresolution transform, which is the field less its last smoothing. They smooth on discrete scales
+only. To lowest order every smoothing adds sigma^2 / 2 times the Laplacian, with sigma^2 the variance of its
+windows, so the number of scales is the one whose sigma is nearest in ratio to that of the Gaussian
+(`effective_sigma_pixels`). For a median this holds where the field is level; on a slope only the curvature
+across the slope counts, and it takes off less.
+
+References: Birrer+2017 sec. 3.2 and its footnote; Starck, Fadili & Murtagh 2007 (starlet); Starck, Murtagh &
+Bijaoui 1998 (multiresolution median transform).
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from typing import Literal, get_args
+
 import numpy as np
-from scipy.ndimage import gaussian_filter
+from scipy import ndimage
 
 from warmlens.types import FloatArray
 
+FilterKind = Literal["gaussian", "starlet", "median_wavelet"]
+
 TRUNCATE_SIGMA = 4.0
+_B3_SPLINE = np.array([1.0, 4.0, 6.0, 4.0, 1.0]) / 16.0  # of variance 1 pixel^2
+_MAX_SCALES = 12
+_MEDIAN_STARTS = (1, 2, 3)  # half-widths of the first median window; the next are twice as wide
 
 
-def margin_pixels(sigma_arcsec: float, pixel_scale: float) -> int:
+def margin_pixels(sigma_arcsec: float, pixel_scale: float, kind: FilterKind = "gaussian") -> int:
     """Pixels to add on every side of a field so that its crop is free of edge effects.
 
     Parameters
@@ -19,21 +39,37 @@ def margin_pixels(sigma_arcsec: float, pixel_scale: float) -> int:
         Standard deviation of the Gaussian [arcsec].
     pixel_scale
         Side of a pixel [arcsec].
+    kind
+        Filter, see `high_pass`.
 
     Returns
     -------
     margin
-        The radius of the kernel, which is cut at `TRUNCATE_SIGMA` standard deviations.
+        How far the filter sees: the radius of the Gaussian, which is cut at `TRUNCATE_SIGMA` standard
+        deviations, or the sum of the half-widths of all windows.
     """
-    if not (0.0 < sigma_arcsec < np.inf and 0.0 < pixel_scale < np.inf):
-        raise ValueError(
-            f"sigma_arcsec and pixel_scale must be finite and > 0, got {sigma_arcsec!r} and {pixel_scale!r}"
-        )
-    return int(TRUNCATE_SIGMA * sigma_arcsec / pixel_scale + 0.5)
+    sigma = _in_pixels(sigma_arcsec, pixel_scale, kind)
+    if kind == "gaussian":
+        return int(TRUNCATE_SIGMA * sigma + 0.5)
+    if kind == "starlet":
+        return sum(2 * step for step in _starlet_steps(sigma))
+    return sum(_median_half_widths(sigma))
 
 
-def high_pass(deflection: FloatArray, sigma_arcsec: float, pixel_scale: float) -> FloatArray:
-    """Deflection minus its Gaussian-smoothed self.
+def effective_sigma_pixels(sigma_arcsec: float, pixel_scale: float, kind: FilterKind) -> float:
+    """Standard deviation [pixel] of the smoothing that filter `kind` takes off for the given Gaussian's."""
+    sigma = _in_pixels(sigma_arcsec, pixel_scale, kind)
+    if kind == "gaussian":
+        return sigma
+    if kind == "starlet":
+        return _starlet_sigma(_starlet_steps(sigma))
+    return _median_sigma(_median_half_widths(sigma))
+
+
+def high_pass(
+    deflection: FloatArray, sigma_arcsec: float, pixel_scale: float, kind: FilterKind = "gaussian"
+) -> FloatArray:
+    """Deflection minus its smoothed self.
 
     Parameters
     ----------
@@ -43,6 +79,10 @@ def high_pass(deflection: FloatArray, sigma_arcsec: float, pixel_scale: float) -
         Standard deviation of the Gaussian [arcsec]; the paper's phi_min = 0.4".
     pixel_scale
         Side of a pixel [arcsec].
+    kind
+        "gaussian": minus its convolution with the Gaussian. "starlet": the isotropic undecimated wavelet
+        transform with the B3 spline up to the matching scale. "median_wavelet": the multiresolution median
+        transform up to the matching scale; it is not linear.
 
     Returns
     -------
@@ -50,14 +90,18 @@ def high_pass(deflection: FloatArray, sigma_arcsec: float, pixel_scale: float) -
         The shape of `deflection` [arcsec]. Within `margin_pixels` of the edge it depends on what lies beyond
         (there the last pixel is repeated): pass a padded field and `crop` it.
 
-    Reference: Birrer+2017 sec. 3.2, Delta alpha_dm = alpha_dm - alpha_dm * g(phi_min).
+    Reference: Birrer+2017 sec. 3.2, Delta alpha_dm = alpha_dm - alpha_dm * g(phi_min), and its footnote.
     """
-    radius = margin_pixels(sigma_arcsec, pixel_scale)
+    sigma = _in_pixels(sigma_arcsec, pixel_scale, kind)
     if not np.isfinite(deflection).all():
         raise ValueError("deflection must be finite")
-    smoothed = gaussian_filter(
-        deflection, sigma_arcsec / pixel_scale, axes=(-2, -1), mode="nearest", radius=radius
-    )
+    if kind == "gaussian":
+        radius = margin_pixels(sigma_arcsec, pixel_scale)
+        smoothed = ndimage.gaussian_filter(deflection, sigma, axes=(-2, -1), mode="nearest", radius=radius)
+    elif kind == "starlet":
+        smoothed = _starlet_smooth(deflection, _starlet_steps(sigma))
+    else:
+        smoothed = _median_smooth(deflection, _median_half_widths(sigma))
     return deflection - smoothed
 
 
@@ -67,3 +111,60 @@ def crop(field: FloatArray, margin: int) -> FloatArray:
     if margin < 0 or 2 * margin >= min(ny, nx):
         raise ValueError(f"margin must be >= 0 and leave a pixel of the {ny} x {nx} field, got {margin}")
     return field[..., margin : ny - margin, margin : nx - margin]
+
+
+def _in_pixels(sigma_arcsec: float, pixel_scale: float, kind: FilterKind) -> float:
+    if kind not in get_args(FilterKind):
+        raise ValueError(f"deflections.filter must be one of {', '.join(get_args(FilterKind))}, got {kind!r}")
+    if not (0.0 < sigma_arcsec < np.inf and 0.0 < pixel_scale < np.inf):
+        raise ValueError(
+            f"sigma_arcsec and pixel_scale must be finite and > 0, got {sigma_arcsec!r} and {pixel_scale!r}"
+        )
+    return sigma_arcsec / pixel_scale
+
+
+def _starlet_steps(sigma: float) -> list[int]:
+    """Distances [pixel] of the spline's taps, one a scale: 1, 2, 4, ... up to what is nearest to sigma [pixel]."""
+    candidates = [[2**j for j in range(n)] for n in range(1, _MAX_SCALES + 1)]
+    return _nearest(candidates, [_starlet_sigma(steps) for steps in candidates], sigma)
+
+
+def _starlet_sigma(steps: Sequence[int]) -> float:
+    return math.sqrt(sum(step**2 for step in steps))  # the spline of step d has the variance d^2
+
+
+def _starlet_smooth(field: FloatArray, steps: Sequence[int]) -> FloatArray:
+    """Last smoothing c_J of the transform a trous: c_(j+1) = h_j * c_j, h_j the B3 spline with 2^j - 1 holes."""
+    for step in steps:
+        kernel = np.zeros(4 * step + 1)
+        kernel[::step] = _B3_SPLINE
+        for axis in (-2, -1):
+            field = ndimage.convolve1d(field, kernel, axis=axis, mode="nearest")
+    return field
+
+
+def _median_half_widths(sigma: float) -> list[int]:
+    """Half-widths [pixel] of the median windows: s, 2 s, 4 s, ... with s and number nearest to sigma [pixel]."""
+    candidates = [[s * 2**j for j in range(n)] for n in range(1, _MAX_SCALES + 1) for s in _MEDIAN_STARTS]
+    return _nearest(candidates, [_median_sigma(widths) for widths in candidates], sigma)
+
+
+def _median_sigma(half_widths: Sequence[int]) -> float:
+    return math.sqrt(sum(((2 * s + 1) ** 2 - 1) / 12.0 for s in half_widths))  # of uniform windows of 2 s + 1
+
+
+def _median_smooth(field: FloatArray, half_widths: Sequence[int]) -> FloatArray:
+    """Last smoothing of the multiresolution median transform: c_(j+1) = med(c_j; 2 s_j + 1), s_(j+1) = 2 s_j."""
+    for s in half_widths:
+        field = ndimage.median_filter(field, size=2 * s + 1, axes=(-2, -1), mode="nearest")
+    return field
+
+
+def _nearest(candidates: list[list[int]], widths: list[float], sigma: float) -> list[int]:
+    """The candidate whose width is nearest in ratio to sigma [pixel]."""
+    if not widths[0] / math.sqrt(2.0) <= sigma <= widths[-1]:
+        raise ValueError(
+            f"deflections.filter_arcsec is {sigma:.3g} pixels, the scales of this filter are {widths[0]:.3g} to "
+            f"{widths[-1]:.3g} pixels wide; change filter_arcsec, or use deflections.filter: gaussian"
+        )
+    return min(zip(widths, candidates, strict=True), key=lambda item: abs(math.log(item[0] / sigma)))[1]

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray
 
 
@@ -66,3 +67,15 @@ def lens_light(
             ) from error
         components.append(np.reshape(light, np.shape(x)))
     return np.array(components).reshape(len(components), *np.shape(x))
+
+
+def light_images(
+    lens_light_model_list: Sequence[str],
+    kwargs_lens_light: Sequence[Mapping[str, Any]],
+    grid: PixelGrid,
+    supersampling: int,
+) -> FloatArray:
+    """Light per pixel of each component for amplitude 1, before the PSF [component, ny, nx]."""
+    x, y = grid.subpixel_coordinates(supersampling)
+    light = lens_light(lens_light_model_list, kwargs_lens_light, x, y)
+    return light.mean(axis=-1).reshape(len(light), *grid.shape) * grid.pixel_scale**2

@@ -101,10 +101,47 @@ def draw_halo_grid(
         label = rf"$10^{{{log10_mass:g}}}$ M$_\odot$"
         row_axes[0].text(0.05, 0.94, label, transform=row_axes[0].transAxes, color="white", va="top")
         add_colour_bar(artists[-1][0], row_axes[-1], r"$\Sigma_{\rm sub}$ [M$_\odot$ kpc$^{-2}$]")
-    for ax, m in zip(axes[0], m_kev, strict=True):
-        ax.set_title(f"{m:g} keV")
-    for ax in axes.ravel():
-        ax.label_outer()
+    _label_columns(axes, m_kev)
+    return artists
+
+
+def draw_deflection_grid(
+    axes: np.ndarray,
+    maps: Sequence[Sequence[FloatArray]],
+    grid: PixelGrid,
+    m_kev: Sequence[float],
+    log10_mass_msun: Sequence[float],
+    limit_arcsec: float,
+) -> list[list[AxesImage]]:
+    """First component of the filtered deflection over relic and halo mass; one scale, the peak beside it.
+
+    Parameters
+    ----------
+    axes
+        Panels, object array [n_mass, n_m].
+    maps
+        Delta alpha_1 [arcsec] of each panel, [n_mass][n_m][ny, nx].
+    grid, m_kev, log10_mass_msun
+        As in `draw_halo_grid`.
+    limit_arcsec
+        Deflection of full colour.
+
+    Reference: Birrer+2017, Fig. 2.
+    """
+    artists = []
+    for row_axes, row, log10_mass in zip(axes, maps, log10_mass_msun, strict=True):
+        artists.append(
+            [draw_diverging(ax, alpha, grid, limit_arcsec) for ax, alpha in zip(row_axes, row, strict=True)]
+        )
+        label = rf"$10^{{{log10_mass:g}}}$ M$_\odot$"
+        row_axes[0].text(0.05, 0.94, label, transform=row_axes[0].transAxes, va="top")
+        for ax, alpha in zip(row_axes, row, strict=True):  # a weak map is pale on the common scale
+            peak = f"{1e3 * np.abs(alpha).max():.2g} mas"
+            ax.text(0.95, 0.05, peak, transform=ax.transAxes, ha="right", va="bottom", fontsize=7)
+    flat = [artist for row in artists for artist in row]
+    strongest = int(np.argmax([np.abs(alpha).max() for row in maps for alpha in row]))
+    add_colour_bar(flat[strongest], list(axes.ravel()), r"$\Delta\alpha_1$ [arcsec]")
+    _label_columns(axes, m_kev)
     return artists
 
 
@@ -120,6 +157,13 @@ def draw_deflection_panels(
     _label_panels(axes, titles)
     add_colour_bar(artists[0], list(axes), r"$\Delta\alpha_x$ [arcsec]")
     return artists
+
+
+def _label_columns(axes: np.ndarray, m_kev: Sequence[float]) -> None:
+    for ax, m in zip(axes[0], m_kev, strict=True):
+        ax.set_title(f"{m:g} keV")
+    for ax in axes.ravel():
+        ax.label_outer()
 
 
 def _label_panels(axes: np.ndarray, titles: Sequence[str]) -> None:

@@ -122,8 +122,13 @@ def draw_compass(ax: Axes, colour: str = "white", length: float = 0.12) -> None:
         ax.text(*label, name, transform=ax.transAxes, color=colour, ha="center", va="center", fontsize=8)
 
 
-def add_colour_bar(artist: ScalarMappable, axes: Axes | list[Axes], label: str) -> Colorbar:
-    """Colour bar as high as its panel, or to the right of a list of panels; the label carries the unit.
+def add_colour_bar(
+    artist: ScalarMappable,
+    axes: Axes | list[Axes],
+    label: str,
+    location: Literal["right", "top"] = "right",
+) -> Colorbar:
+    """Colour bar along its panel, or to the right of a list of panels; the label carries the unit.
 
     An end of the bar is pointed where the data go beyond it.
     """
@@ -134,12 +139,13 @@ def add_colour_bar(artist: ScalarMappable, axes: Axes | list[Axes], label: str) 
     if isinstance(axes, list):
         bar = axes[0].figure.colorbar(artist, ax=axes, label=label, extend=extend, pad=0.02, aspect=30)
     else:
-        inset = axes.inset_axes((1.03, 0.0, 0.05, 1.0))
-        bar = axes.figure.colorbar(artist, cax=inset, label=label, extend=extend)
+        box = (1.03, 0.0, 0.05, 1.0) if location == "right" else (0.0, 1.03, 1.0, 0.05)
+        cax = axes.inset_axes(box)
+        bar = axes.figure.colorbar(artist, cax=cax, location=location, label=label, extend=extend)
     if isinstance(artist.norm, AsinhNorm):
         bar.set_ticks(_asinh_ticks(artist.norm.linear_width, low, high), minor=False)
         bar.minorticks_off()
-        bar.ax.yaxis.set_major_formatter("{x:g}")
+        bar.long_axis.set_major_formatter("{x:g}")
     return bar
 
 

@@ -1,14 +1,8 @@
 """The operator of the scan: what a perturber at a position does to any fit, built once per lens.
 
-Symbols are those of docs/scan.md. Its Delta R at one position without nested shapelets,
-
-    J_pert - J_smooth = -2 t.delta + delta.S delta - q.H q,
-
-is by the Woodbury identity one symmetric form in v = [delta; t],
-
-    J_pert - J_smooth = v.M v,    M = [[Y^T Y, -(I + Y^T G_E)], [-(I + G_E^T Y), G_E^T G_E - S]]^-1,
-
-which is built from sums without cancellation and needs the convolved pixels U = W P E only through
+Symbols are those of docs/scan.md. With the nested source shapelets folded in, Delta R of a position is one
+symmetric form, Delta R = w.Q w, w = [delta; t; rho_s], and |model_pert - model_smooth|^2 = (Q w).Gamma (Q w).
+Both are built from sums without cancellation of large chi2's. The convolved pixels U = W P E enter through
 S = U^T U, whose elements are read from a table made by convolution (`BandProjection.overlap`).
 """
 
@@ -18,17 +12,18 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numba import njit
 from scipy import linalg
 
 from warmlens.fitting.linear import LinearModel
 from warmlens.imaging.psf import Convolution
 from warmlens.imaging.shapelets import ShapeletSet
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.perturber import PerturbedBasis, Perturber, basis_change, moved_pixels, perturbed_basis
+from warmlens.scan.forms import fill_change, fill_forms, fill_rows, fill_slope
+from warmlens.scan.nested import NestedShapelets, nested_basis, nested_points
+from warmlens.scan.perturber import Perturber, moved_pixels, perturbed_basis
 from warmlens.types import FloatArray, IntArray
 
-_BLOCK_ROWS = 1024  # moved pixels whose Y is computed in one triangular product
+_BLOCK_ROWS = 512  # moved pixels whose Y is computed in one triangular product
 _BLOCK_COLUMNS = 128
 
 
@@ -64,8 +59,21 @@ class OperatorShard:
     pixel_offsets, pixels
         Pixels moved at position p: pixels[pixel_offsets[p] : pixel_offsets[p + 1]], m of them, ascending.
     matrix_offsets, matrices
-        M of position p: the lower triangle, row by row, of a symmetric [2m, 2m] matrix,
-        matrices[matrix_offsets[p] : matrix_offsets[p + 1]], m(2m + 1) numbers.
+        Q of position p: the lower triangle, row by row, of a symmetric matrix of 2m + n_nested rows,
+        matrices[matrix_offsets[p] : matrix_offsets[p + 1]].
+    sensitivity
+        Gamma of each position, laid out like `matrices`.
+    points
+        Centre and scale (source x, source y, beta) [arcsec] of the nested shapelets [n_positions, 3].
+    nested_inverse
+        C_s^-1 of each position, lower triangle [n_positions, n_nested (n_nested + 1) / 2].
+    nested_n_max
+        Their highest order; -1 without nested shapelets.
+    responses
+        K (lower triangle) and R [2m, n_nested] of each position, one after the other, for the linear response
+        (`warmlens.scan.response`); empty if it was not asked for.
+    response_noise
+        What noise adds to the Fisher information on the mean, f [n_positions]; empty like `responses`.
     """
 
     positions: FloatArray
@@ -73,11 +81,36 @@ class OperatorShard:
     pixels: IntArray
     matrix_offsets: IntArray
     matrices: FloatArray
+    sensitivity: FloatArray
+    points: FloatArray
+    nested_inverse: FloatArray
+    nested_n_max: int
+    responses: FloatArray
+    response_noise: FloatArray
+
+    @property
+    def response_offsets(self) -> IntArray:
+        """Where K and R of each position begin in `responses` [n_positions + 1]."""
+        return _response_offsets(self.pixel_offsets, self.n_nested)
 
     @property
     def n_positions(self) -> int:
         """Number of positions."""
         return self.positions.shape[0]
+
+    @property
+    def n_nested(self) -> int:
+        """Number of nested shapelets of a position."""
+        return _n_functions(self.nested_n_max)
+
+
+def _n_functions(n_max: int) -> int:
+    return (n_max + 1) * (n_max + 2) // 2
+
+
+def _response_offsets(pixel_offsets: IntArray, n_nested: int) -> IntArray:
+    moved = np.diff(pixel_offsets)
+    return np.concatenate([[0], np.cumsum(moved * (moved + 1) // 2 + 2 * moved * n_nested)]).astype(np.int64)
 
 
 def project_band(
@@ -139,24 +172,37 @@ def _overlap_table(convolution: Convolution, weights: FloatArray, span: int) -> 
 def build_shard(
     model: LinearModel,
     projection: BandProjection,
+    convolution: Convolution,
     weights: FloatArray,
     sets: tuple[ShapeletSet, ...],
     rays: SmoothRays,
     perturber: Perturber,
     positions: FloatArray,
+    nested: NestedShapelets | None = None,
+    *,
+    response: bool = False,
 ) -> OperatorShard:
     """Operator of the given positions for one band.
 
     Parameters
     ----------
-    model, projection, weights
-        Linear model of the band, its `project_band`, and 1/sigma [ny, nx].
+    model, projection, convolution, weights
+        Linear model of the band, its `project_band`, and what both were built from; weights are 1/sigma [ny, nx].
     sets
         Source basis; the model's source columns must be `pixel_basis(sets, rays.source_x, rays.source_y)`.
     rays, perturber
         Smooth rays and the perturber that is added to them.
     positions
         (x, y) [arcsec], [n_positions, 2].
+    nested
+        Shapelets at each position's source point that both fits get; None for none.
+    response
+        Whether the linear response is wanted too.
+
+    Raises
+    ------
+    ValueError
+        If sets and model differ, positions are impossible, or nested columns are degenerate to rounding.
 
     Notes
     -----
@@ -173,24 +219,68 @@ def build_shard(
     positions = np.ascontiguousarray(positions, dtype=np.float64)
     if positions.ndim != 2 or positions.shape[1] != 2 or not np.all(np.isfinite(positions)):
         raise ValueError(f"positions must be finite and [n_positions, 2], got {positions.shape}")
+    nested_n_max = -1 if nested is None else nested.n_max
+    n_nested = _n_functions(nested_n_max)
+    extra = nested_basis(nested_n_max, rays, perturber)
+    points = np.zeros((positions.shape[0], 3))
+    if nested is not None:
+        points = nested_points(nested, rays, projection.n_columns, perturber, positions)
     pixel_offsets, pixels = moved_pixels(
         rays.theta_x, rays.theta_y, weights.ravel() > 0.0, positions, perturber.reach
     )
     moved = np.diff(pixel_offsets)
-    matrix_offsets = np.concatenate([[0], np.cumsum(moved * (2 * moved + 1))])
-    matrices = np.empty(matrix_offsets[-1])
+    sizes = np.where(moved > 0, 2 * moved + n_nested, 0)
+    matrix_offsets = np.concatenate([[0], np.cumsum(sizes * (sizes + 1) // 2)]).astype(np.int64)
+    matrices, sensitivity = np.empty(matrix_offsets[-1]), np.empty(matrix_offsets[-1])
+    nested_inverse = np.zeros((positions.shape[0], n_nested * (n_nested + 1) // 2))
+    response_offsets = _response_offsets(pixel_offsets, n_nested)
+    responses = np.empty(response_offsets[-1] if response else 0)
+    response_noise = np.zeros(positions.shape[0] if response else 0)
     for first, last in _position_blocks(pixel_offsets):
-        rows = int(pixel_offsets[last] - pixel_offsets[first])
-        change = np.zeros((model.design.shape[1], rows))  # dB^T, columns that do not move included
-        _fill_change(basis, positions, pixel_offsets, pixels, first, last, change)
-        change[:n_source] /= model.column_norms[:n_source, None]
-        # Y = L^-1 dB^T, in place: as Fortran arrays, Y^T = dB L^-T
-        solved = linalg.blas.dtrmm(1.0, model.inverse_factor.T, change.T, side=1, lower=0, overwrite_b=1).T
-        _fill_matrices(
-            projection.projected, projection.overlap, projection.n_columns, np.ascontiguousarray(solved),
-            pixel_offsets, pixels, first, last, matrix_offsets, matrices,
+        change = np.zeros((int(pixel_offsets[last] - pixel_offsets[first]), model.design.shape[1]))
+        fill_change(basis, positions, pixel_offsets, pixels, first, last, change)
+        change[:, :n_source] /= model.column_norms[:n_source]  # dB, columns that do not move included
+        solved = _triangular_product(model.inverse_factor, change, transposed=False)  # Y^T = dB L^-T
+        rows = np.empty((int(sizes[first:last].sum()), model.design.shape[1]))
+        images = np.zeros((np.count_nonzero(moved[first:last]), n_nested, weights.size))
+        fill_rows(
+            extra, points, projection.projected, solved, pixel_offsets, pixels, first, last, rows, images
         )  # fmt: skip
-    return OperatorShard(positions, pixel_offsets, pixels, matrix_offsets.astype(np.int64), matrices)
+        convolved = weights * convolution.forward(images.reshape(-1, *weights.shape))  # V_s = W P N_s
+        prior_rows = _triangular_product(model.inverse_factor, rows.copy(), transposed=True)  # (L^-T Z)^T
+        prior_rows *= np.sqrt(model.prior)
+        slopes = np.zeros((change.shape[0] if response else 0, change.shape[1]))
+        if response:
+            fill_slope(basis, positions, pixel_offsets, pixels, first, last, slopes)
+            slopes[:, :n_source] /= model.column_norms[:n_source]
+            slopes = _triangular_product(model.inverse_factor, slopes, transposed=False)  # Y'^T = dB' L^-T
+        prior_slopes = (
+            _triangular_product(model.inverse_factor, slopes.copy(), transposed=True) if response else slopes
+        )
+        prior_slopes = prior_slopes * np.sqrt(model.prior)
+        degenerate = fill_forms(
+            extra, points, positions, 0.0 if nested is None else nested.ridge, convolution.psf, weights,
+            projection.overlap, rows, prior_rows, slopes, prior_slopes, images, convolved.reshape(images.shape),
+            pixel_offsets, pixels, first, last, matrix_offsets, matrices, sensitivity, nested_inverse,
+            response_offsets, responses, response_noise,
+        )  # fmt: skip
+        if degenerate >= 0:
+            x, y = positions[degenerate]
+            raise ValueError(
+                f"the nested shapelets at position ({x:.3f}, {y:.3f}) are degenerate to rounding with the source "
+                f"basis at scan.nested.ridge = {nested.ridge if nested else 0.0:g}; raise it (1e-8 or above works)"
+            )
+    return OperatorShard(
+        positions, pixel_offsets, pixels, matrix_offsets, matrices, sensitivity, points, nested_inverse,
+        nested_n_max, responses, response_noise,
+    )  # fmt: skip
+
+
+def _triangular_product(inverse_factor: FloatArray, rows: FloatArray, *, transposed: bool) -> FloatArray:
+    """L^-1 (or L^-T) times each row of a C-ordered [k, n], in place."""
+    return linalg.blas.dtrmm(
+        1.0, inverse_factor.T, rows.T, side=0, lower=0, trans_a=int(not transposed), overwrite_b=1
+    ).T
 
 
 def _position_blocks(pixel_offsets: IntArray) -> list[tuple[int, int]]:
@@ -199,72 +289,3 @@ def _position_blocks(pixel_offsets: IntArray) -> list[tuple[int, int]]:
     edges = np.searchsorted(pixel_offsets, np.linspace(0, pixel_offsets[-1], n_blocks + 1))
     edges[0], edges[-1] = 0, pixel_offsets.size - 1
     return [(int(a), int(b)) for a, b in pairwise(edges) if a < b]
-
-
-@njit(cache=True)
-def _fill_change(
-    basis: PerturbedBasis,
-    positions: FloatArray,
-    pixel_offsets: IntArray,
-    pixels: IntArray,
-    first: int,
-    last: int,
-    change: FloatArray,
-) -> None:
-    """dB^T of the positions first..last-1, side by side, into the leading rows of `change`."""
-    base = pixel_offsets[first]
-    for position in range(first, last):
-        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
-        if stop > start:
-            change[: basis.n_coef, start - base : stop - base] = basis_change(
-                basis, positions[position, 0], positions[position, 1], pixels[start:stop]
-            )
-
-
-@njit(cache=True)
-def _fill_matrices(
-    projected: FloatArray,
-    overlap: FloatArray,
-    n_columns: int,
-    solved: FloatArray,
-    pixel_offsets: IntArray,
-    pixels: IntArray,
-    first: int,
-    last: int,
-    matrix_offsets: IntArray,
-    matrices: FloatArray,
-) -> None:
-    """M of the positions first..last-1; `solved` holds their Y [n, rows] side by side."""
-    n = solved.shape[0]
-    span = overlap.shape[0] - 1
-    base = pixel_offsets[first]
-    for position in range(first, last):
-        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
-        m = stop - start
-        if m == 0:
-            continue
-        moved = pixels[start:stop]
-        Y = solved[:, start - base : stop - base].copy()  # [n, m]
-        G_E = np.empty((m, n))  # transposed: a row per pixel
-        for i in range(m):
-            G_E[i] = projected[moved[i]]
-        system = np.empty((2 * m, 2 * m))
-        system[:m, :m] = np.dot(Y.T, Y)
-        system[m:, :m] = -np.dot(G_E, Y)
-        system[m:, m:] = np.dot(G_E, G_E.T)
-        for i in range(m):
-            system[m + i, i] -= 1.0
-            for j in range(i, m):  # ascending pixels: j is in the same row as i or in a later one
-                dy = moved[j] // n_columns - moved[i] // n_columns
-                dx = moved[j] % n_columns - moved[i] % n_columns
-                S_ij = overlap[dy, dx + span, moved[i]]
-                system[m + j, m + i] -= S_ij
-                if j > i:
-                    system[m + i, m + j] -= S_ij
-        system[:m, m:] = system[m:, :m].T
-        M = np.linalg.inv(system)
-        k = matrix_offsets[position]
-        for i in range(2 * m):
-            for j in range(i + 1):
-                matrices[k] = 0.5 * (M[i, j] + M[j, i])
-                k += 1

@@ -20,6 +20,8 @@ from warmlens.imaging.shapelets import (
 from warmlens.lensing.rays import SmoothRays
 from warmlens.types import BoolArray, FloatArray, IntArray
 
+_STEP = 2e-5  # of r_trunc: deflections on both sides of 0 for the derivative by the amplitude
+
 
 @dataclass(frozen=True)
 class Perturber:
@@ -109,6 +111,24 @@ def basis_change(basis: PerturbedBasis, center_x: float, center_y: float, moved:
 
     For compiled callers; `moved` are the m pixels of a perturber at (center_x, center_y).
     """
+    return _difference(basis, center_x, center_y, moved, basis.theta_e, 0.0)
+
+
+@njit(cache=True)
+def basis_response(basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray) -> FloatArray:
+    """dB'^T of docs/scan.md [n_coef, m]: derivative of dB^T by the perturber's amplitude, 1 for theta_e, at 0.
+
+    A central difference over a step so small against the functions that its error is some 1e-8 of their slopes.
+    """
+    step = _STEP * basis.r_trunc
+    return _difference(basis, center_x, center_y, moved, step, -step) * (basis.theta_e / (2.0 * step))
+
+
+@njit(cache=True)
+def _difference(
+    basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray, upper: float, lower: float
+) -> FloatArray:
+    """Basis [n_coef, m] at rays moved by a perturber of theta_e `upper` minus that of `lower`; 0: smooth rays."""
     n_sub = basis.theta_x.shape[1]
     x, y = np.empty((2 * n_sub, moved.size)), np.empty((2 * n_sub, moved.size))
     weights = np.empty(2 * n_sub)
@@ -117,13 +137,15 @@ def basis_change(basis: PerturbedBasis, center_x: float, center_y: float, moved:
     for i in range(moved.size):
         for sub in range(n_sub):
             dx, dy = basis.theta_x[moved[i], sub] - center_x, basis.theta_y[moved[i], sub] - center_y
-            ratio = deflection_over_radius(np.sqrt(dx * dx + dy * dy), basis.theta_e, basis.r_trunc)
+            radius = np.sqrt(dx * dx + dy * dy)
             smooth_x, smooth_y = basis.source_x[moved[i], sub], basis.source_y[moved[i], sub]
+            ratio = deflection_over_radius(radius, upper, basis.r_trunc)
             x[sub, i], y[sub, i] = smooth_x - ratio * dx, smooth_y - ratio * dy
-            x[n_sub + sub, i], y[n_sub + sub, i] = smooth_x, smooth_y
-    change = np.zeros((basis.n_coef, moved.size))
-    add_basis(basis.packed, basis.factors, x, y, weights, change)
-    return change
+            ratio = deflection_over_radius(radius, lower, basis.r_trunc)
+            x[n_sub + sub, i], y[n_sub + sub, i] = smooth_x - ratio * dx, smooth_y - ratio * dy
+    difference = np.zeros((basis.n_coef, moved.size))
+    add_basis(basis.packed, basis.factors, x, y, weights, difference)
+    return difference
 
 
 @njit(cache=True)

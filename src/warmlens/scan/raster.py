@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warmlens.types import FloatArray
+from warmlens.imaging.grid import PixelGrid
+from warmlens.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -28,6 +29,19 @@ class Raster:
     height: float
     step: float
     center: tuple[float, float] = (0.0, 0.0)
+
+    @classmethod
+    def around(cls, mask: BoolArray, grid: PixelGrid, step: float) -> Raster:
+        """Raster over the smallest upright box that holds all pixels of the mask [ny, nx]."""
+        if mask.shape != grid.shape:
+            raise ValueError(f"mask is {mask.shape}, the pixel grid {grid.shape}")
+        if not mask.any():
+            raise ValueError("no pixel is unmasked: nothing to scan; check the masks of the bands")
+        rows, columns = np.argwhere(mask).T.astype(np.float64)
+        corners = [(a, b) for a in (-0.5, 0.5) for b in (-0.5, 0.5)]
+        x, y = np.array([grid.to_sky(columns + a, rows + b) for a, b in corners]).swapaxes(0, 1).reshape(2, -1)
+        center = (0.5 * float(x.min() + x.max()), 0.5 * float(y.min() + y.max()))
+        return cls(float(np.ptp(x)), float(np.ptp(y)), step, center)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.step) and self.step > 0.0):

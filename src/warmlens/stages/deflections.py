@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import logging
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from warmlens.artifacts import Artifact, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.halos.population import Subhalos
+from warmlens.config import HalosBlock
+from warmlens.halos.population import HaloGenerator, Subhalos
 from warmlens.imaging.grid import PixelGrid
-from warmlens.lensing.substructure import filtered_deflection, required_half_width
-from warmlens.stages.halos import COLUMNS, geometry
+from warmlens.lensing.high_pass import effective_sigma_pixels
+from warmlens.lensing.substructure import SmoothHost, filtered_deflection, required_half_width
+from warmlens.stages.halos import COLUMNS, geometry, halo_generator
 from warmlens.stages.products import read_observation
 from warmlens.stages.samples import SampleTable
 from warmlens.stages.settings import DeflectionsSettings
+
+log = logging.getLogger(__name__)
 
 
 def run(settings: DeflectionsSettings, halos: Path, observation: Path, output: Path) -> None:
     """Write Delta alpha of each sample, its rms and maximum, and the subhaloes that made it."""
     grid = read_observation(observation).grid
+    block = settings.deflections
+    sigma_arcsec = grid.pixel_scale * effective_sigma_pixels(block.filter_arcsec, grid.pixel_scale, block.filter)
+    if block.filter != "gaussian":
+        log.info("%s filter: as wide as a Gaussian of %.3f arcsec", block.filter, sigma_arcsec)
     _, lens = geometry(settings.cosmology, settings.redshifts)
     with open_artifact(halos, "halos") as artifact:
         provenance = Provenance(
@@ -28,9 +37,12 @@ def run(settings: DeflectionsSettings, halos: Path, observation: Path, output: P
             {"halos": halos, "observation": observation},
             span=artifact.span,
         )
-        check_field(
-            artifact.settings["halos"]["field_half_width_arcsec"], grid, settings.deflections.filter_arcsec
+        halos_block = HalosBlock.model_validate(artifact.settings["halos"])
+        check_field(halos_block.field_half_width_arcsec, grid, block.filter_arcsec)
+        generator = (
+            halo_generator(settings.cosmology, settings.redshifts, halos_block) if block.smooth_host else None
         )
+        f_sub = artifact.array("halo/f_sub")
         table = SampleTable.read(artifact)
         delta_alpha = np.full((len(table), 2, *grid.shape), np.nan, dtype=np.float32)
         statistics = np.full((len(table), 2), np.nan)
@@ -39,7 +51,9 @@ def run(settings: DeflectionsSettings, halos: Path, observation: Path, output: P
 
         def deflect(row: int) -> None:
             subhalos = read_subhalos(artifact, row)
-            field = filtered_deflection(subhalos, grid, lens, settings.deflections.filter_arcsec)
+            log10_m_halo = float(table.parameters.log10_m_halo_msun[row])
+            host = smooth_host(generator, log10_m_halo, float(f_sub[row])) if generator else None
+            field = filtered_deflection(subhalos, grid, lens, block.filter_arcsec, block.filter, host)
             if not np.isfinite(field).all():
                 raise FloatingPointError(f"the deflection of {len(subhalos.m_bound)} subhaloes is not finite")
             size = np.hypot(*field)
@@ -59,7 +73,14 @@ def run(settings: DeflectionsSettings, halos: Path, observation: Path, output: P
         "n_subhalos": Dataset(np.diff(offsets), "", sample, "subhaloes in the field"),
         "m_subhalos": Dataset(totals, "Msun", sample, "their bound mass"),
     }
-    write_artifact(output, provenance, datasets, {})
+    write_artifact(output, provenance, datasets, {"filter_sigma_arcsec": sigma_arcsec})
+
+
+def smooth_host(generator: HaloGenerator, log10_m_halo_msun: float, f_sub: float) -> SmoothHost:
+    """What a halo of M200c holds besides its subhaloes, with the concentration of the host of their positions."""
+    m_halo, z_lens = 10.0**log10_m_halo_msun, generator.geometry.z_lens
+    concentration = float(generator.population.cold_concentration(m_halo, z_lens))
+    return SmoothHost.of_halo(m_halo, concentration, f_sub, generator.cosmology, z_lens)
 
 
 def read_subhalos(halos: Artifact, row: int) -> Subhalos:

@@ -12,29 +12,42 @@ mpl.use("agg")
 import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
+from scipy.spatial import cKDTree
 
 from warmlens.artifacts import Artifact, ArtifactError, atomic_path, open_artifact
 from warmlens.config import CosmologyBlock, RedshiftBlock
 from warmlens.imaging.grid import PixelGrid
+from warmlens.imaging.shapelets import surface_brightness
 from warmlens.inference.bound import Bound
+from warmlens.lensing.critical_curves import critical_curves, inverse_magnification
+from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.substructure import convergence_map
 from warmlens.plots.correlation import draw_correlations, draw_cumulatives
 from warmlens.plots.halo_maps import draw_deflection_panels, draw_halo_panels
 from warmlens.plots.posterior import draw_mass_marginal, draw_posterior_plane
+from warmlens.plots.psf import PsfRow, draw_psf_row
+from warmlens.plots.scan import AmplitudeRow, ScanRow, draw_amplitude_row, draw_scan_plane, draw_scan_row
 from warmlens.plots.sky import add_colour_bar, draw_diverging, draw_image
-from warmlens.plots.style import house_style
+from warmlens.plots.smooth_model import LensMarks, SmoothModelRow, draw_smooth_model_row, key_handles
+from warmlens.plots.style import FULL_WIDTH_INCH, house_style
 from warmlens.stages.deflections import read_subhalos
 from warmlens.stages.halos import geometry
-from warmlens.stages.products import read_observation, read_smooth_model
+from warmlens.stages.products import SmoothModel, read_observation, read_smooth_model
 from warmlens.stages.samples import OK
+from warmlens.stages.scan_maps import by_band, raster_grid, read_response, read_sensitivity
 from warmlens.stages.summaries import COMBINED
-from warmlens.types import FloatArray, IntArray
+from warmlens.types import BoolArray, FloatArray, IntArray
 
 Inputs = Mapping[str, Path]
 _PANELS = 6
 _MAP_HALF_WIDTH, _MAP_PIXELS = 2.0, 160  # halo maps: 4" x 4", as the paper's
 _RESIDUAL_LIMIT = 5.0  # sigma
 _DELTA_R_LIMIT = 25.0
+_CURVE_STEP_ARCSEC = 0.01  # a radial critical curve may be small, and its caustic large
+_SOURCE_PIXELS = 240
+_FAINTEST = 2.0  # 1 / magnification beyond which a pixel does not count as a look at the source
+_RAYS = 3  # per pixel and axis
+_REACH = 1.0  # of them: those that are not fainter lie closer than that to every point between them
 
 
 def run(name: str, inputs: Inputs, output: Path) -> None:
@@ -47,26 +60,53 @@ def run(name: str, inputs: Inputs, output: Path) -> None:
 
 
 def _smooth_model(inputs: Inputs) -> Figure:
-    """Data, model and normalised residuals, one row a band."""
+    """Data, model, normalised residuals and source, one row a band."""
     observed = read_observation(inputs["observation"])
     model = read_smooth_model(inputs["smooth_model"])
+    with open_artifact(inputs["smooth_model"], "smooth_model") as artifact:
+        core = float(artifact.settings["smooth_model"]["quasar_core_arcsec"])
+    lens = _lens_marks(model, observed.grid, core)
+    used = np.any([np.isfinite(model.fits[band.name].sigma) & band.mask for band in observed.bands], axis=0)
+    source_grid, seen = _source_plane(model, observed.grid, used, lens)
     n = len(observed.bands)
-    figure, axes = plt.subplots(n, 3, figsize=(7.2, 2.5 * n), squeeze=False)
-    for row, band in zip(axes, observed.bands, strict=True):
+    figure, axes = plt.subplots(n, 4, figsize=(FULL_WIDTH_INCH, 0.55 + 2.2 * n), squeeze=False)
+    for panels, band in zip(axes, observed.bands, strict=True):
         fit = model.fits[band.name]
-        image = np.where(band.mask, band.image, np.nan)
-        limits = _brightness_limits(image)
-        data = draw_image(row[0], image, observed.grid, "asinh", limits)
-        draw_image(row[1], np.where(band.mask, fit.model, np.nan), observed.grid, "asinh", limits)
-        residual = (image - fit.model) / np.where(band.mask, fit.sigma, 1.0)
-        shown = draw_diverging(row[2], residual, observed.grid, _RESIDUAL_LIMIT)
-        row[0].set_title(f"{band.name} observed")
-        row[1].set_title("smooth model")
-        row[2].set_title(rf"$\chi^2_{{\rm red}} = {fit.chi2_red:.2f}$")
-        add_colour_bar(data, row[1], r"brightness [e$^-$ s$^{-1}$ px$^{-1}$]")
-        add_colour_bar(shown, row[2], r"(data $-$ model) / $\sigma$")
-        for ax in row:
-            ax.label_outer()
+        fitted = band.mask & np.isfinite(fit.sigma)
+        light = surface_brightness(model.sets, fit.source_coefficients, *source_grid.coordinates())
+        source = np.where(seen, light / observed.grid.pixel_scale**2, np.nan)
+        data = np.where(band.mask, band.image, np.nan)
+        row = SmoothModelRow(
+            name=band.name,
+            data=data,
+            model=np.where(fitted, fit.model, np.nan),
+            residual=np.where(fitted, (band.image - fit.model) / np.where(fitted, fit.sigma, 1.0), np.nan),
+            source=source,
+            limits=_brightness_limits(np.where(fitted, data, np.nan)),
+            source_limits=_brightness_limits(source),
+            chi2_red=fit.chi2_red_outside_cores,
+        )
+        draw_smooth_model_row(panels, row, observed.grid, source_grid, lens)
+    figure.legend(handles=key_handles(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def _psf(inputs: Inputs) -> Figure:
+    """The PSF as given and as the fit improved it, one row a band."""
+    observed = read_observation(inputs["observation"])
+    model = read_smooth_model(inputs["smooth_model"])
+    rows = []
+    with open_artifact(inputs["smooth_model"], "smooth_model") as artifact:
+        for band in observed.bands:
+            names = [f"{band.name}/psf_error_radius", f"{band.name}/psf_error"]
+            known = all(name in artifact.file for name in names)
+            error = tuple(artifact.array(name) for name in names) if known else None
+            rows.append(PsfRow(band.name, band.psf, model.fits[band.name].psf, observed.grid.pixel_scale, error))
+    n_columns = 4 if any(row.changed for row in rows) else 2
+    size = (FULL_WIDTH_INCH if n_columns == 4 else 0.6 * FULL_WIDTH_INCH, 0.1 + 2.3 * len(rows))
+    figure, axes = plt.subplots(len(rows), n_columns, figsize=size, squeeze=False)
+    for panels, row in zip(axes, rows, strict=True):
+        draw_psf_row(panels, row)
     return figure
 
 
@@ -125,27 +165,50 @@ def _mocks(inputs: Inputs) -> Figure:
 
 
 def _delta_r(inputs: Inputs) -> Figure:
-    """Delta R maps of the observation and of a warm and a cold sample, one row a band and their sum."""
+    """Delta R maps of the observation and of a warm and a cold sample, and R_sens; one row a band and their sum.
+
+    With the amplitude among the scan's statistics, one more row shows it for all bands together.
+    """
     with open_artifact(inputs["observed_scan"], "observed_scan") as artifact:
-        bands = artifact.metadata["bands"]
-        grid = _raster_grid(artifact)
+        grid = raster_grid(artifact)
         valid = artifact.array("raster/valid")
-        columns = [{band: artifact.array(f"{band}/delta_r") for band in bands}]
+        r_sens = by_band(artifact, "r_sens")
+        columns = [by_band(artifact, "delta_r")]
+        responses = [read_response(artifact)]
+        last, label = read_sensitivity(artifact, responses[0])
     with open_artifact(inputs["scans"], "scans") as artifact:
         rows, labels = _pick_samples(artifact)
-        columns += [{band: artifact[f"{band}/delta_r"][row] for band in bands} for row in (rows[0], rows[-1])]
-    names = [*bands, " + ".join(bands)] if len(bands) > 1 else bands
-    figure, axes = plt.subplots(
-        len(names), 3, figsize=(7.2, 2.3 * len(names)), sharex=True, sharey=True, squeeze=False
-    )
-    for panels, name in zip(axes, names, strict=True):
-        for ax, maps in zip(panels, columns, strict=True):
-            delta = maps[name] if name in maps else np.sum(list(maps.values()), axis=0)
-            shown = draw_diverging(ax, np.where(valid, delta, np.nan), grid, _DELTA_R_LIMIT)
-            ax.label_outer()
-        add_colour_bar(shown, panels[-1], rf"$\Delta R$ in {name}")
-    for ax, title in zip(axes[0], ("observation", labels[0], labels[-1]), strict=True):
+        for row in (rows[0], rows[-1]):
+            columns.append(by_band(artifact, "delta_r", row))
+            responses.append(read_response(artifact, row))
+    amplitudes = [response for response in responses if response is not None]
+    n = len(r_sens) + (1 if amplitudes else 0)
+    figure, axes = plt.subplots(n, 4, figsize=(9.6, 2.15 * n + 0.2), sharex=True, sharey=True, squeeze=False)
+    for panels, name in zip(axes, r_sens, strict=False):
+        shown = [np.where(valid, maps[name], np.nan) for maps in columns]
+        row_maps = ScanRow(name, shown, np.where(valid, r_sens[name], np.nan))
+        brightest = float(np.percentile(r_sens[name][valid], 99.5)) if valid.any() else 0.0
+        draw_scan_row(panels, row_maps, grid, _DELTA_R_LIMIT, brightest if brightest > 0.0 else 1.0)
+    if amplitudes:
+        significance = [item.significance for item in amplitudes]
+        draw_amplitude_row(axes[-1], AmplitudeRow(significance, last, label), grid, _RESIDUAL_LIMIT)
+    titles = ("observation", f"mock\n{labels[0]}", f"mock\n{labels[-1]}", "observation")
+    for ax, title in zip(axes[0], titles, strict=True):
         ax.set_title(title)
+    return figure
+
+
+def _scan_plane(inputs: Inputs) -> Figure:
+    """Positions of the observation's scan in the plane of Delta R and R_sens, with both marginals."""
+    with open_artifact(inputs["observed_scan"], "observed_scan") as artifact:
+        valid = artifact.array("raster/valid")
+        delta, r_sens = by_band(artifact, "delta_r"), by_band(artifact, "r_sens")
+    figure, axes = plt.subplots(
+        2, 2, figsize=(5.4, 5.0), width_ratios=(3.2, 1.0), height_ratios=(1.0, 3.2), sharex="col", sharey="row"
+    )
+    axes[0, 1].remove()
+    maps = {name: (delta[name][valid], r_sens[name][valid]) for name in delta}
+    draw_scan_plane(axes[1, 0], axes[0, 0], axes[1, 1], maps)
     return figure
 
 
@@ -186,10 +249,12 @@ def _posterior(inputs: Inputs) -> Figure:
 
 _FIGURES: dict[str, Callable[[Inputs], Figure]] = {
     "smooth_model": _smooth_model,
+    "psf": _psf,
     "halo_maps": _halo_maps,
     "deflection_maps": _deflection_maps,
     "mocks": _mocks,
     "delta_r": _delta_r,
+    "scan_plane": _scan_plane,
     "correlation": _correlation,
     "posterior": _posterior,
 }
@@ -217,8 +282,34 @@ def _brightness_limits(image: FloatArray) -> tuple[float, float]:
     return float(min(0.0, np.percentile(finite, 1.0))), float(np.percentile(finite, 99.8))
 
 
-def _raster_grid(artifact: Artifact) -> PixelGrid:
-    x, y = artifact.array("raster/x"), artifact.array("raster/y")
-    ny, nx = x.shape
-    step = float(artifact.settings["scan"]["step_arcsec"])
-    return PixelGrid(ny, nx, step, float(x[0, 0]), float(y[0, 0]))
+def _lens_marks(model: SmoothModel, grid: PixelGrid, core_arcsec: float) -> LensMarks:
+    """Critical curves within the image, the quasars, and where the lens traces them to."""
+    x, y = grid.coordinates()
+    window = (float(x.min()), float(x.max()), float(y.min()), float(y.max()))
+    curves = critical_curves(model.lens_models, model.kwargs_lens, window, _CURVE_STEP_ARCSEC)
+    quasars = model.quasars
+    traced = quasars.copy()
+    if len(quasars):
+        traced -= deflection(model.lens_models, model.kwargs_lens, quasars[:, 0], quasars[:, 1]).T
+    return LensMarks(curves, quasars, traced, core_arcsec)
+
+
+def _source_plane(
+    model: SmoothModel, grid: PixelGrid, used: BoolArray, lens: LensMarks
+) -> tuple[PixelGrid, BoolArray]:
+    """Square of the source plane that holds all caustics, and where a pixel of the fit looks at it [ny, nx].
+
+    Elsewhere the shapelets are free: rays next to the lens' centre, strongly demagnified, hardly bind them.
+    """
+    x, y = (axis[used.ravel()].ravel() for axis in grid.subpixel_coordinates(_RAYS))
+    bright = np.abs(inverse_magnification(model.lens_models, model.kwargs_lens, x, y)) < _FAINTEST
+    sky = np.column_stack([x[bright], y[bright]])
+    rays = sky - deflection(model.lens_models, model.kwargs_lens, *sky.T).T
+    points = np.concatenate([rays, lens.quasar_source, *(curve.source for curve in lens.curves)])
+    low, high = points.min(axis=0), points.max(axis=0)
+    pixels = PixelGrid.centred(
+        (_SOURCE_PIXELS, _SOURCE_PIXELS), float((high - low).max()) / _SOURCE_PIXELS, *(0.5 * (low + high))
+    )
+    distance, _ = cKDTree(rays).query(np.column_stack([axis.ravel() for axis in pixels.coordinates()]))
+    near: BoolArray = np.asarray(distance < _REACH * grid.pixel_scale / _RAYS)
+    return pixels, near.reshape(pixels.shape)

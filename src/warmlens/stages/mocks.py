@@ -6,23 +6,37 @@ from pathlib import Path
 
 import numpy as np
 
-from warmlens.artifacts import Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
 from warmlens.campaign import stream
+from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import lensed_image, subpixel_field
-from warmlens.stages.products import read_observation, read_smooth_model, scan_band
+from warmlens.imaging.observation import Band
+from warmlens.imaging.psf import Convolution, point_source
+from warmlens.lensing.images import DeflectionField, moved_images
+from warmlens.stages.products import SmoothModel, read_observation, read_smooth_model, scan_band
 from warmlens.stages.samples import SampleTable
 from warmlens.stages.settings import MocksSettings
+from warmlens.types import FloatArray
 
 
 def run(settings: MocksSettings, deflections: Path, observation: Path, smooth_model: Path, output: Path) -> None:
     """Write the noisy image of each sample and band.
 
     Rays go where smooth lens and substructure send them (Birrer+2017 sec. 3.2, alpha_mock); source, light,
-    PSF and noise are the observation's.
+    PSF and noise are the observation's. The quasars stay, or move as the lens equation says.
     """
     observed = read_observation(observation)
     model = read_smooth_model(smooth_model)
+    grid = observed.grid
     bands = [scan_band(observed, model, band.name) for band in observed.bands]
+    solved = settings.mocks.quasar_positions == "solved"
+    if solved:
+        if not model.n_quasars:
+            raise ArtifactError(
+                f"{smooth_model}: mocks.quasar_positions: solved needs quasar images, the smooth model has none; "
+                "set it to observed"
+            )
+        smooth = DeflectionField(model.deflection, grid)
     with open_artifact(deflections, "deflections") as artifact:
         provenance = Provenance(
             "mocks",
@@ -32,23 +46,65 @@ def run(settings: MocksSettings, deflections: Path, observation: Path, smooth_mo
             span=artifact.span,
         )
         table = SampleTable.read(artifact)
-        images = {
-            band.name: np.full((len(table), *observed.grid.shape), np.nan, dtype=np.float32) for band, _ in bands
-        }
+        images = {band.name: np.full((len(table), *grid.shape), np.nan, dtype=np.float32) for band, _ in bands}
+        positions = np.full((len(table), model.n_quasars, 2), np.nan)
 
         def image(row: int) -> None:
-            delta = subpixel_field(artifact["delta_alpha"][row].astype(np.float64), model.supersampling)
-            source_x, source_y = model.rays.source_x - delta[0], model.rays.source_y - delta[1]
+            delta = artifact["delta_alpha"][row].astype(np.float64)
+            moved = None
+            if solved:
+                moved = moved_images(smooth, DeflectionField(model.deflection + delta, grid), model.quasars)
+                positions[row] = moved
             sample = int(table.parameters.sample_id[row])
             for band, convolution in bands:
-                fit = model.fits[band.name]
-                light = lensed_image(model.sets, fit.source_coefficients, source_x, source_y, convolution)
+                clean = noise_free_image(model, grid, band, convolution, delta, moved)
                 rng = stream(settings.seed, "mocks", sample, band.name)
-                images[band.name][row] = band.noise.draw(light + fit.fixed_image, band.sigma, rng)
+                images[band.name][row] = band.noise.draw(clean, band.sigma, rng)
 
         table.for_each(image, "mocks")
     datasets = {
         f"{name}/image": Dataset(data, "electron / s", ("sample", "y", "x"), "noisy mock of the observation")
         for name, data in images.items()
     }
+    if solved:
+        datasets["quasar_positions"] = Dataset(
+            positions, "arcsec", ("sample", "image", "component"), "where the quasar images stand (x, y)"
+        )
     write_artifact(output, provenance, {**table.datasets(), **datasets}, {"bands": list(images)})
+
+
+def noise_free_image(
+    model: SmoothModel,
+    grid: PixelGrid,
+    band: Band,
+    convolution: Convolution,
+    delta_alpha: FloatArray,
+    quasars: FloatArray | None = None,
+) -> FloatArray:
+    """Image [ny, nx] [e-/s per pixel] of a band with substructure, before noise.
+
+    Parameters
+    ----------
+    model
+        Smooth model: rays, source, light and quasars as fitted.
+    grid
+        Pixels.
+    band, convolution
+        The band, and its PSF ready to convolve with.
+    delta_alpha
+        What the substructure adds to the deflection, [2, ny, nx] [arcsec].
+    quasars
+        Where the quasar images stand, [n_quasars, 2] [arcsec]; as in the smooth model unless given.
+
+    Reference: Birrer+2017 sec. 3.2, alpha_mock = alpha_smooth + Delta alpha_dm.
+    """
+    fit = model.fits[band.name]
+    delta = subpixel_field(delta_alpha, model.supersampling)
+    source_x, source_y = model.rays.source_x - delta[0], model.rays.source_y - delta[1]
+    image = lensed_image(model.sets, fit.source_coefficients, source_x, source_y, convolution) + fit.fixed_image
+    if quasars is None:
+        return image
+    fluxes = fit.fixed_coefficients[: model.n_quasars]
+    for i, (flux, (x, y)) in enumerate(zip(fluxes, quasars, strict=True)):
+        image += flux * (point_source(band.psf, grid, x, y) - model.fixed[band.name][:, i].reshape(grid.shape))
+    return image

@@ -10,22 +10,21 @@ import numpy as np
 
 from warmlens.artifacts import Dataset, Provenance, write_artifact
 from warmlens.campaign import stream
-from warmlens.config import FitsBandBlock, SimulatedBandBlock, SimulatedBlock
+from warmlens.config import FitsBandBlock, ObservationBlock, SimulatedBandBlock, SimulatedBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import subpixel_field
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Band, Observation, checked_band
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.source import SpiralSource
-from warmlens.lensing.macro_model import deflection
+from warmlens.lensing.macro_model import deflection, light_images
 from warmlens.lensing.substructure import filtered_deflection
-from warmlens.stages.deflections import check_field
+from warmlens.stages.deflections import check_field, smooth_host
 from warmlens.stages.fits_input import input_files, read_band
 from warmlens.stages.halos import geometry, halo_generator
 from warmlens.stages.products import observation_datasets
 from warmlens.stages.settings import ObservationSettings
-from warmlens.stages.smooth_model import lens_light_images
-from warmlens.types import FloatArray
+from warmlens.types import BoolArray, FloatArray
 
 log = logging.getLogger(__name__)
 
@@ -65,6 +64,17 @@ def read_fits(blocks: dict[str, FitsBandBlock]) -> Observation:
     return Observation("fits", grids[0], tuple(bands))
 
 
+def planned_mask(block: ObservationBlock) -> tuple[PixelGrid, BoolArray]:
+    """Pixel grid and the pixels that some band uses [ny, nx], before the stage has run."""
+    if block.kind == "simulated":
+        assert block.simulated is not None  # config: kind simulated comes with its block
+        grid = PixelGrid.centred(block.simulated.shape, block.simulated.pixel_scale_arcsec)
+        return grid, np.ones(grid.shape, dtype=bool)
+    assert block.fits is not None
+    observed = read_fits({name: block.fits[name] for name in block.bands})
+    return observed.grid, np.logical_or.reduce([band.mask for band in observed.bands])
+
+
 def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Dataset]]:
     """Make the simulated observation; the extra datasets hold its truth."""
     block, halos, filters = settings.observation.simulated, settings.halos, settings.deflections
@@ -73,14 +83,16 @@ def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Data
     grid = PixelGrid.centred(block.shape, block.pixel_scale_arcsec)
     check_field(halos.field_half_width_arcsec, grid, filters.filter_arcsec)
     truth = block.truth
-    realization = halo_generator(settings.cosmology, settings.redshifts, halos).draw(
+    generator = halo_generator(settings.cosmology, settings.redshifts, halos)
+    realization = generator.draw(
         truth.m_th_kev,
         10.0**truth.log10_m_halo_msun,
         halos.field_half_width_arcsec,
         stream(truth.seed, "halos", 0),
     )
     _, lens = geometry(settings.cosmology, settings.redshifts)
-    delta = filtered_deflection(realization.subhalos, grid, lens, filters.filter_arcsec)
+    host = smooth_host(generator, truth.log10_m_halo_msun, realization.f_sub) if filters.smooth_host else None
+    delta = filtered_deflection(realization.subhalos, grid, lens, filters.filter_arcsec, filters.filter, host)
     x, y = grid.subpixel_coordinates(block.supersampling)
     alpha = deflection(block.lens.lens_model_list, block.lens.kwargs_lens, x, y)
     rays = np.array([x, y]) - alpha - subpixel_field(delta, block.supersampling)
@@ -112,7 +124,10 @@ def _simulated_band(
     pixel_area = grid.pixel_scale**2
     light = source.surface_brightness(rays[0], rays[1], band.source_flux, band.clump_flux_fraction)
     arcs = light.mean(axis=-1).reshape(grid.shape) * pixel_area
-    galaxy = lens_light_images(block.lens_light, grid, block.supersampling)
+    lens_light = block.lens_light
+    galaxy = light_images(
+        lens_light.lens_light_model_list, lens_light.kwargs_lens_light, grid, block.supersampling
+    )
     galaxy = np.tensordot(band.lens_light_amplitudes, galaxy, axes=1)
     quasars: Any = sum(
         flux * point_source(psf, grid, qx, qy)

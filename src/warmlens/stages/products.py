@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from warmlens.artifacts import Artifact, Dataset, open_artifact
 from warmlens.fitting.linear import LinearModel
 from warmlens.fitting.smooth_model import BandFit
@@ -81,6 +83,13 @@ class SmoothModel:
         Per band: names and blurred images [npix, n_fixed] of the columns that no perturber moves.
     fits
         Per band: amplitudes, model and chi2.
+    lens_models, kwargs_lens
+        The lens in lenstronomy's names.
+    quasars
+        Positions of the quasar images [n_quasars, 2] [arcsec].
+    macro
+        Per band: what the image changes by when the lens moves along the axes of its error ellipsoid, by one
+        sigma each [npix, n_lens]; none for a given lens, whose errors are not known.
     """
 
     deflection: FloatArray
@@ -92,6 +101,10 @@ class SmoothModel:
     fixed: dict[str, FloatArray]
     n_quasars: int
     fits: dict[str, BandFit]
+    lens_models: tuple[str, ...]
+    kwargs_lens: tuple[dict[str, Any], ...]
+    quasars: FloatArray
+    macro: dict[str, FloatArray]
 
 
 def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[str, Any]]:
@@ -103,6 +116,7 @@ def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[
         "rays/theta_y": Dataset(model.rays.theta_y, arcsec, _RAY, "sky position, to the North"),
         "rays/source_x": Dataset(model.rays.source_x, arcsec, _RAY, "source position, to the West"),
         "rays/source_y": Dataset(model.rays.source_y, arcsec, _RAY, "source position, to the North"),
+        "quasars": Dataset(model.quasars, arcsec, ("quasar", "component"), "quasar images (x, y)"),
     }
     for band, fit in model.fits.items():
         datasets |= {
@@ -117,7 +131,11 @@ def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[
             ),
             f"{band}/fixed_image": Dataset(fit.fixed_image, _RATE, _SKY, "quasars, lens light and background"),
             f"{band}/model": Dataset(fit.model, _RATE, _SKY, "smooth model of the image"),
-            f"{band}/sigma": Dataset(fit.sigma, _RATE, _SKY, "noise with the PSF error near quasars"),
+            f"{band}/sigma": Dataset(fit.sigma, _RATE, _SKY, "noise with the PSF error, inf where masked"),
+            f"{band}/psf": Dataset(fit.psf, "", _SKY, "point spread function of the model, sum 1"),
+            f"{band}/macro_columns": Dataset(
+                model.macro[band], _RATE, ("pixel", "axis"), "change of the image for one sigma of the lens"
+            ),
         }
     metadata = {
         "sets": [dataclasses.asdict(item) for item in model.sets],
@@ -128,13 +146,15 @@ def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[
         "bands": list(model.fits),
         "fits": {
             band: {
-                "chi2": fit.chi2,
-                "n_pixels": fit.n_pixels,
-                "n_columns": fit.n_columns,
+                **{name: getattr(fit, name) for name in _FIT_NUMBERS},
                 "chi2_red": fit.chi2_red,
+                "chi2_red_outside_cores": fit.chi2_red_outside_cores,
+                "chi2_red_noise_only": fit.chi2_red_noise_only,
             }
             for band, fit in model.fits.items()
         },
+        "lens_models": list(model.lens_models),
+        "kwargs_lens": list(model.kwargs_lens),
     }
     return datasets, metadata
 
@@ -156,7 +176,21 @@ def read_smooth_model(path: Path) -> SmoothModel:
             fixed={band: artifact.array(f"{band}/fixed_columns") for band in meta["bands"]},
             n_quasars=meta["n_quasars"],
             fits={band: _read_fit(artifact, band) for band in meta["bands"]},
+            lens_models=tuple(meta["lens_models"]),
+            kwargs_lens=tuple(meta["kwargs_lens"]),
+            quasars=artifact.array("quasars"),
+            macro={band: artifact.array(f"{band}/macro_columns") for band in meta["bands"]},
         )
+
+
+_FIT_NUMBERS = (
+    "chi2",
+    "n_pixels",
+    "chi2_outside_cores",
+    "n_pixels_outside_cores",
+    "chi2_noise_only",
+    "n_columns",
+)
 
 
 def _read_fit(artifact: Artifact, band: str) -> BandFit:
@@ -167,9 +201,8 @@ def _read_fit(artifact: Artifact, band: str) -> BandFit:
         fixed_image=artifact.array(f"{band}/fixed_image"),
         model=artifact.array(f"{band}/model"),
         sigma=artifact.array(f"{band}/sigma"),
-        chi2=numbers["chi2"],
-        n_pixels=numbers["n_pixels"],
-        n_columns=numbers["n_columns"],
+        psf=artifact.array(f"{band}/psf"),
+        **{name: numbers[name] for name in _FIT_NUMBERS},
     )
 
 
@@ -179,6 +212,7 @@ def design_datasets(band: str, model: LinearModel, projection: BandProjection) -
     return {
         f"{band}/design": Dataset(model.design, "", ("pixel", "column"), "whitened columns of unit norm, A"),
         f"{band}/column_norms": Dataset(model.column_norms, "", ("column",), "their norms before scaling"),
+        f"{band}/prior": Dataset(model.prior, "", ("column",), "weight of the Gaussian prior on each, Lambda"),
         f"{band}/inverse_factor": Dataset(
             model.inverse_factor, "", square, "inverse Cholesky factor of the normal matrix, 1/L"
         ),
@@ -198,7 +232,7 @@ def read_linear_model(design: Artifact, band: str) -> LinearModel:
         design=design.array(f"{band}/design"),
         column_norms=design.array(f"{band}/column_norms"),
         inverse_factor=design.array(f"{band}/inverse_factor"),
-        ridge=design.metadata["ridge"],
+        prior=design.array(f"{band}/prior"),
         n_source=design.metadata["n_source"],
     )
 
@@ -217,25 +251,45 @@ _SHARD = {
     ),
     "pixels": (("moved pixel",), "flat index of each pixel that a perturber moves"),
     "matrix_offsets": (("position edge",), "where the matrix of each position begins"),
-    "matrices": (("element",), "lower triangles of the quadratic forms M, row by row"),
+    "matrices": (("element",), "lower triangles of the quadratic forms Q, row by row"),
+    "points": (("position", "component"), "source position (x, y) and scale of the nested shapelets [arcsec]"),
+    "nested_inverse": (("position", "element"), "lower triangle of the nested shapelets' 1/C_s"),
+}
+_SENSITIVITY = (("element",), "lower triangles of the quadratic forms Gamma, as the matrices")
+_RESPONSE = {
+    "responses": (("response element",), "K (lower triangle) and R of each position, one after the other"),
+    "response_noise": (("position",), "what noise adds to the Fisher information on the mean"),
 }
 
 
 def shard_datasets(band: str, shard: OperatorShard) -> dict[str, Dataset]:
     """Datasets of a shard of the scan operator of one band."""
+    described = {**_SHARD, "sensitivity": _SENSITIVITY}
+    if shard.responses.size:
+        described |= _RESPONSE
     return {
         f"{band}/{name}": Dataset(getattr(shard, name), "", axes, description)
-        for name, (axes, description) in _SHARD.items()
+        for name, (axes, description) in described.items()
     }
 
 
-def read_shard(artifact: Artifact, band: str) -> OperatorShard:
-    """Shard of the scan operator of one band."""
+def read_shard(artifact: Artifact, band: str, *, sensitivity: bool) -> OperatorShard:
+    """Shard of the scan operator of one band; `sensitivity` is half of it, and only residual maps need it."""
     arrays = {name: artifact.array(f"{band}/{name}") for name in _SHARD}
-    return OperatorShard(positions=artifact.array("positions"), **arrays)
+    arrays["sensitivity"] = artifact.array(f"{band}/sensitivity") if sensitivity else np.empty(0)
+    for name in _RESPONSE:
+        arrays[name] = artifact.array(f"{band}/{name}") if f"{band}/{name}" in artifact.file else np.empty(0)
+    return OperatorShard(
+        positions=artifact.array("positions"), nested_n_max=artifact.metadata["nested_n_max"], **arrays
+    )
 
 
 def scan_band(observation: Observation, model: SmoothModel, name: str) -> tuple[Band, Convolution]:
-    """Band `name` with the noise of the smooth model, and its PSF."""
+    """Band `name` with the noise, the mask and the PSF of the smooth model, and its convolution."""
     band = next(item for item in observation.bands if item.name == name)
-    return dataclasses.replace(band, sigma=model.fits[name].sigma), Convolution(band.psf, observation.grid.shape)
+    fit = model.fits[name]
+    used = band.mask & np.isfinite(fit.sigma)
+    return (
+        dataclasses.replace(band, sigma=fit.sigma, mask=used, psf=fit.psf),
+        Convolution(fit.psf, observation.grid.shape),
+    )

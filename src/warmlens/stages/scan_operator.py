@@ -5,14 +5,28 @@ from __future__ import annotations
 import logging
 from pathlib import Path
 
-from warmlens.artifacts import Dataset, Provenance, open_artifact, write_artifact
+import numpy as np
+
+from warmlens.artifacts import (
+    Artifact,
+    ArtifactError,
+    Dataset,
+    Provenance,
+    input_digest,
+    open_artifact,
+    write_artifact,
+)
 from warmlens.campaign import Span
 from warmlens.config import ScanBlock
-from warmlens.fitting.smooth_model import FixedColumns, linear_model
+from warmlens.fitting.linear import LinearModel, build_linear_model
+from warmlens.imaging.observation import Observation
+from warmlens.imaging.shapelets import pixel_basis
+from warmlens.scan.nested import NestedShapelets
 from warmlens.scan.operator import build_shard, project_band
 from warmlens.scan.perturber import Perturber
 from warmlens.scan.raster import Raster
 from warmlens.stages.products import (
+    SmoothModel,
     design_datasets,
     read_linear_model,
     read_observation,
@@ -36,8 +50,7 @@ def run_design(settings: ScanSettings, observation: Path, smooth_model: Path, ou
     datasets: dict[str, Dataset] = {}
     for name in model.fits:
         band, convolution = scan_band(observed, model, name)
-        fixed = FixedColumns(model.names, model.fixed[name], model.n_quasars)
-        linear = linear_model(model.sets, model.rays, fixed, convolution, band.weights, model.ridge)
+        linear = scan_linear_model(settings.scan, observed, model, name)
         projection = project_band(linear, convolution, band.weights, model.rays, perturber)
         datasets |= design_datasets(name, linear, projection)
         log.info("%s: %d columns", name, linear.design.shape[1])
@@ -50,6 +63,23 @@ def run_design(settings: ScanSettings, observation: Path, smooth_model: Path, ou
     write_artifact(output, provenance, datasets, metadata)
 
 
+def scan_linear_model(block: ScanBlock, observed: Observation, model: SmoothModel, name: str) -> LinearModel:
+    """Whitened design of band `name`: source, fixed columns and, if asked for, derivatives by the lens."""
+    band, convolution = scan_band(observed, model, name)
+    columns, sigma = model.fixed[name], np.full(model.fixed[name].shape[1], np.inf)
+    if block.marginalise_lens:
+        macro = model.macro[name]
+        if macro.shape[1] == 0:
+            raise ValueError(
+                "scan.marginalise_lens: true needs a smooth model that knows the errors of its lens parameters, "
+                "but this one has none; set it to false, or let smooth_model.mode fit the lens"
+            )
+        columns = np.hstack([columns, macro])
+        sigma = np.append(sigma, np.ones(macro.shape[1]))  # the columns are for one standard deviation each
+    source = pixel_basis(model.sets, model.rays.source_x, model.rays.source_y)
+    return build_linear_model(source, columns, convolution, band.weights, model.ridge, sigma)
+
+
 def run(
     settings: ScanSettings, span: Span, observation: Path, smooth_model: Path, design: Path, output: Path
 ) -> None:
@@ -58,26 +88,63 @@ def run(
     provenance = Provenance("scan_operator", settings.as_dict(), inputs, span=span)
     observed = read_observation(observation)
     model = read_smooth_model(smooth_model)
-    positions = scan_raster(settings.scan).coordinates()[span[0] : span[1]]
+    raster = scan_raster(settings.scan, observed)
+    if not 0 <= span[0] < span[1] <= raster.n_positions:
+        raise ValueError(
+            f"positions {span[0]} to {span[1]} were asked for, the raster has {raster.n_positions}; "
+            "start the campaign again, so that the list of shards is made anew"
+        )
+    positions = raster.coordinates()[span[0] : span[1]]
     datasets = {
         "positions": Dataset(positions, "arcsec", ("position", "component"), "perturber on the sky (x, y)")
     }
+    nested = scan_nested(settings.scan)
     with open_artifact(design, "scan_design") as artifact:
+        check_origin(artifact, settings, {"observation": observation, "smooth_model": smooth_model})
         for name in artifact.metadata["bands"]:
-            band, _ = scan_band(observed, model, name)
+            band, convolution = scan_band(observed, model, name)
             shard = build_shard(
                 read_linear_model(artifact, name),
                 read_projection(artifact, name),
+                convolution,
                 band.weights,
                 model.sets,
                 model.rays,
                 scan_perturber(settings.scan),
                 positions,
+                nested,
+                response="amplitude" in settings.scan.statistics,
             )
             datasets |= shard_datasets(name, shard)
             log.info("%s: positions %d to %d", name, *span)
-        metadata = {"bands": artifact.metadata["bands"]}
+        metadata = {"bands": artifact.metadata["bands"], "nested_n_max": -1 if nested is None else nested.n_max}
     write_artifact(output, provenance, datasets, metadata)
+
+
+def check_origin(artifact: Artifact, settings: ScanSettings, inputs: dict[str, Path]) -> None:
+    """Refuse a design or shard that was made with other settings or from other inputs than these.
+
+    Raises
+    ------
+    ArtifactError
+        Naming the file, and the setting or input that differs.
+    """
+    remedy = "delete the file and run the campaign again"
+    expected = settings.without_samples().as_dict()
+    if artifact.settings != expected:
+        found, wanted = artifact.settings.get("scan", {}), expected["scan"]
+        keys = [key for key in wanted if found.get(key) != wanted[key]]
+        what = ", ".join(f"scan.{key} = {found.get(key)!r}, expected {wanted[key]!r}" for key in keys)
+        version = f"stage_version = {artifact.settings.get('stage_version')}, expected {expected['stage_version']}"
+        raise ArtifactError(f"{artifact.path}: was made with other settings ({what or version}); {remedy}")
+    for name, path in inputs.items():
+        found = artifact.inputs.get(name, {}).get("digest", "none")
+        wanted = input_digest(path)
+        if found != wanted:
+            raise ArtifactError(
+                f"{artifact.path}: was made from another {name} (digest {found[:12]}, {path} has {wanted[:12]}); "
+                f"{remedy}"
+            )
 
 
 def scan_perturber(block: ScanBlock) -> Perturber:
@@ -85,6 +152,15 @@ def scan_perturber(block: ScanBlock) -> Perturber:
     return Perturber(block.perturber.theta_e_arcsec, block.perturber.r_trunc_arcsec)
 
 
-def scan_raster(block: ScanBlock) -> Raster:
-    """Raster of the configuration."""
-    return Raster(*block.window_arcsec, block.step_arcsec, block.center)
+def scan_nested(block: ScanBlock) -> NestedShapelets | None:
+    """Nested shapelets of the configuration."""
+    nested = block.nested
+    return None if nested is None else NestedShapelets(nested.n_max, nested.ridge, nested.beta_range_arcsec)
+
+
+def scan_raster(block: ScanBlock, observed: Observation) -> Raster:
+    """Raster of the configuration; without a window, around the pixels that are unmasked in any band."""
+    if block.window_arcsec is not None:
+        return Raster(*block.window_arcsec, block.step_arcsec, block.center)
+    mask = np.logical_or.reduce([band.mask for band in observed.bands])
+    return Raster.around(mask, observed.grid, block.step_arcsec)

@@ -18,6 +18,7 @@ from warmlens.config import (
     DarkMatterBlock,
     DeflectionsBlock,
     HalosBlock,
+    MocksBlock,
     ObservationBlock,
     RedshiftBlock,
     ScanBlock,
@@ -39,6 +40,7 @@ class StageSettings(Block):
 class ObservationSettings(StageSettings):
     """A FITS observation needs its block alone; a simulated one draws its substructure with the rest."""
 
+    stage_version: int = 2
     observation: ObservationBlock
     cosmology: CosmologyBlock | None
     redshifts: RedshiftBlock | None
@@ -53,9 +55,21 @@ class SmoothModelSettings(StageSettings):
 
 
 class ScanSettings(StageSettings):
-    """Perturber and raster."""
+    """Perturber, nested shapelets and raster; for masses, the observed scan's also cosmology and redshifts."""
 
+    stage_version: int = 2
     scan: ScanBlock
+    cosmology: CosmologyBlock | None = None
+    redshifts: RedshiftBlock | None = None
+
+    def without_samples(self) -> ScanSettings:
+        """What design and operator depend on: the same for every sample, and for the observation."""
+        scan = self.scan.model_copy(update={"residual_samples": [], "sensitivity": None})
+        return self.model_copy(update={"scan": scan, "cosmology": None, "redshifts": None})
+
+    def without_sensitivity(self) -> ScanSettings:
+        """What the scans of samples depend on."""
+        return self.model_copy(update={"scan": self.scan.model_copy(update={"sensitivity": None})})
 
 
 class HalosSettings(StageSettings):
@@ -71,15 +85,17 @@ class HalosSettings(StageSettings):
 class DeflectionsSettings(StageSettings):
     """Lens geometry and high-pass filter."""
 
+    stage_version: int = 2
     cosmology: CosmologyBlock
     redshifts: RedshiftBlock
     deflections: DeflectionsBlock
 
 
 class MocksSettings(StageSettings):
-    """Seed of the noise."""
+    """Seed of the noise, and how the quasars are placed."""
 
     seed: int
+    mocks: MocksBlock
 
 
 class SummariesSettings(StageSettings):
@@ -92,6 +108,7 @@ class SummariesSettings(StageSettings):
 class AbcSettings(StageSettings):
     """Acceptance, and the digests of the settings that every stage above must have had."""
 
+    stage_version: int = 2
     seed: int
     n_samples: int
     dark_matter: DarkMatterBlock
@@ -131,10 +148,19 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
             )
         case "smooth_model":
             return SmoothModelSettings(smooth_model=c.smooth_model)
-        case "scan_design" | "scan_operator" | "observed_scan" | "scans":
-            return ScanSettings(scan=c.scan)
+        case "scan_design" | "scan_operator":
+            return ScanSettings(scan=c.scan).without_samples()
+        case "observed_scan":
+            scan = c.scan.model_copy(update={"residual_samples": []})
+            weighed = scan.sensitivity is not None
+            return ScanSettings(
+                scan=scan, cosmology=c.cosmology if weighed else None, redshifts=c.redshifts if weighed else None
+            )
+        case "scans":
+            return ScanSettings(scan=c.scan).without_sensitivity()
         case "observed_summary" | "summaries":
-            return SummariesSettings(scan=c.scan, summaries=c.summaries)
+            scan = ScanSettings(scan=c.scan).without_samples().scan
+            return SummariesSettings(scan=scan, summaries=c.summaries)
         case "halos":
             return HalosSettings(
                 seed=c.campaign.seed,
@@ -146,7 +172,7 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
         case "deflections":
             return DeflectionsSettings(cosmology=c.cosmology, redshifts=c.redshifts, deflections=c.deflections)
         case "mocks":
-            return MocksSettings(seed=c.campaign.seed)
+            return MocksSettings(seed=c.campaign.seed, mocks=c.mocks)
         case "abc":
             return AbcSettings(
                 seed=c.campaign.seed,

@@ -1,21 +1,22 @@
-"""Stage `smooth_model`: amplitudes of source, light and quasars on the smooth lens of the configuration."""
+"""Stage `smooth_model`: the smooth lens, given or fitted, and amplitudes of source, light and quasars."""
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts import Provenance, write_artifact
-from warmlens.config import LensLightBlock, SmoothModelBlock
-from warmlens.fitting.smooth_model import FixedColumns, fit_band
-from warmlens.imaging.grid import PixelGrid
-from warmlens.imaging.observation import Band
-from warmlens.imaging.psf import Convolution, point_source
-from warmlens.imaging.shapelets import ShapeletSet
-from warmlens.lensing.macro_model import deflection, lens_light
+from warmlens.artifacts import Dataset, Provenance, write_artifact
+from warmlens.config import SmoothModelBlock
+from warmlens.fitting.smooth_model import BandFit, band_fit
+from warmlens.fitting.variable_projection import covariance
+from warmlens.imaging.observation import Observation
+from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
+from warmlens.stages.lens_fit import LensFit, fit_lens, noise_sigma, outside_cores, solve_given
 from warmlens.stages.products import SmoothModel, read_observation, smooth_model_datasets
 from warmlens.stages.settings import SmoothModelSettings
 from warmlens.types import FloatArray
@@ -24,68 +25,138 @@ log = logging.getLogger(__name__)
 
 
 def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
-    """Fit every band and write the smooth model; say loudly where chi2 is not near 1."""
+    """Write the smooth model.
+
+    Raises
+    ------
+    ValueError
+        If the fit did not converge, hit a limit or left chi2_red above the gate, and
+        `smooth_model.allow_poor_fit` is false.
+    """
     provenance = Provenance("smooth_model", settings.as_dict(), {"observation": observation})
     block = settings.smooth_model
     observed = read_observation(observation)
+    fitted = fit_lens(block, observed) if block.mode == "fit" else solve_given(block, observed)
+    model = _product(block, observed, fitted)
+    warnings = _judge(block, fitted, model.fits)
+    datasets, metadata = smooth_model_datasets(model)
+    extra, description = _fit_datasets(fitted)
+    write_artifact(output, provenance, {**datasets, **extra}, {**metadata, **description, "warnings": warnings})
+
+
+def _product(block: SmoothModelBlock, observed: Observation, fitted: LensFit) -> SmoothModel:
+    """The smooth model as the campaign reads it."""
+    model, solution = fitted.model, fitted.solution
+    outside = outside_cores(block, observed.grid, solution.macro.quasars)
+    fits = {}
+    for i, band in enumerate(observed.bands):
+        noise = noise_sigma(model, solution, block, band)
+        fits[band.name] = band_fit(model, solution, i, noise, outside)
+        fit = fits[band.name]
+        log.info(
+            "%s: chi2_red %.3f, without the quasars' cores %.3f, with the noise alone %.3f",
+            band.name, fit.chi2_red, fit.chi2_red_outside_cores, fit.chi2_red_noise_only,
+        )  # fmt: skip
     grid = observed.grid
-    rays = trace_rays(block, grid)
-    source = block.source
-    sets = (ShapeletSet(source.n_max, source.beta_arcsec, *source.center),)
-    fixed, fits = {}, {}
-    for band in observed.bands:
-        convolution = Convolution(band.psf, grid.shape)
-        columns = fixed_columns(block, grid, band, convolution)
-        fixed[band.name] = columns.images
-        fits[band.name] = fit_band(
-            band, sets, rays, columns, convolution, block.ridge, block.quasar_variance_fraction
+    x, y = grid.subpixel_coordinates(block.source.supersampling)
+    n_quasars = len(solution.macro.quasars)
+    names = [f"quasar_{i}" for i in range(n_quasars)] + [f"light_{i}" for i in range(len(model.light_models))]
+    names += ["background"] * block.fit_background
+    return SmoothModel(
+        deflection=deflection(model.lens_models, solution.macro.kwargs_lens, *grid.coordinates()),
+        rays=SmoothRays(x, y, solution.source_x, solution.source_y),
+        sets=solution.sets,
+        supersampling=block.source.supersampling,
+        ridge=block.ridge,
+        names=tuple(names),
+        fixed={
+            band.name: np.ascontiguousarray(solved.fixed.reshape(len(names), grid.ny * grid.nx).T)
+            for band, solved in zip(observed.bands, solution.bands, strict=True)
+        },
+        n_quasars=n_quasars,
+        fits=fits,
+        lens_models=model.lens_models,
+        kwargs_lens=solution.macro.kwargs_lens,
+        quasars=solution.macro.quasars,
+        macro=dict(zip(fits, _macro_columns(fitted), strict=True)),
+    )
+
+
+def _macro_columns(fitted: LensFit) -> list[FloatArray]:
+    """Change of each band's image along the axes of the lens' error ellipsoid, one sigma each [npix, n_lens].
+
+    With C = R R^T the covariance of the lens parameters, image derivatives times R have independent
+    amplitudes of unit variance.
+    """
+    model, solution = fitted.model, fitted.solution
+    lens = [i for i, item in enumerate(model.space.parameters) if item.kind == "lens"]
+    if not lens:
+        return [np.empty((model.grid.ny * model.grid.nx, 0)) for _ in model.bands]
+    root = np.linalg.cholesky(covariance(model, solution)[np.ix_(lens, lens)])
+    images, _ = model.derivatives(solution)
+    return [image[:, lens] @ root for image in images]
+
+
+def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit]) -> list[str]:
+    """What is wrong with a fit: raised, or returned as warnings if the configuration allows a poor fit."""
+    problems = []
+    if not fitted.converged:
+        steps = fitted.history[-1].evaluations
+        problems.append(
+            f"the smooth model did not converge in {steps} steps; raise smooth_model.fit.max_steps or start nearer"
         )
-        log.info("%s: chi2_red = %.3f", band.name, fits[band.name].chi2_red)
+    space = fitted.model.space
+    limits = [name for name, hit in zip(space.names, space.at_limit(fitted.solution.vector), strict=True) if hit]
+    if limits:
+        problems.append(
+            f"the smooth model ran into the limits of {', '.join(limits)}; widen them in smooth_model.fit, give "
+            "a prior width, or do not free them"
+        )
     low, high = block.chi2_red_range
-    warnings = [
-        f"{name}: chi2_red = {fit.chi2_red:.2f} of the smooth model lies outside [{low:g}, {high:g}]: misfit and "
+    problems += [
+        f"{name}: chi2_red = {fit.chi2_red_outside_cores:.2f} of the smooth model lies above {high:g}: misfit and "
         "substructure look alike, do not trust a bound from this campaign"
         for name, fit in fits.items()
-        if not low <= fit.chi2_red <= high
+        if fit.chi2_red_outside_cores > high
+    ]
+    if problems and not block.allow_poor_fit:
+        raise ValueError(
+            "\n".join(problems) + "\nsmooth_model.allow_poor_fit: true goes on all the same, with a warning"
+        )
+    warnings = problems + [
+        f"{name}: chi2_red = {fit.chi2_red_outside_cores:.2f} of the smooth model lies below {low:g}: the noise "
+        "is overestimated, or the model follows it"
+        for name, fit in fits.items()
+        if fit.chi2_red_outside_cores < low
     ]
     for warning in warnings:
         log.warning(warning)
-    lens = block.lens
-    model = SmoothModel(
-        deflection=deflection(lens.lens_model_list, lens.kwargs_lens, *grid.coordinates()),
-        rays=rays,
-        sets=sets,
-        supersampling=source.supersampling,
-        ridge=block.ridge,
-        names=columns.names,
-        fixed=fixed,
-        n_quasars=columns.n_quasars,
-        fits=fits,
-    )
-    datasets, metadata = smooth_model_datasets(model)
-    write_artifact(output, provenance, datasets, {**metadata, "warnings": warnings})
+    return warnings
 
 
-def trace_rays(block: SmoothModelBlock, grid: PixelGrid) -> SmoothRays:
-    """Trace the centres of all sub-pixels through the smooth lens."""
-    x, y = grid.subpixel_coordinates(block.source.supersampling)
-    alpha = deflection(block.lens.lens_model_list, block.lens.kwargs_lens, x, y)
-    return SmoothRays(x, y, x - alpha[0], y - alpha[1])
-
-
-def fixed_columns(block: SmoothModelBlock, grid: PixelGrid, band: Band, convolution: Convolution) -> FixedColumns:
-    """Quasar images, light of the lens and background of one band, for amplitude 1."""
-    quasars = [point_source(band.psf, grid, x, y) for x, y in block.quasar_images]
-    light = convolution.forward(lens_light_images(block.lens_light, grid, block.source.supersampling))
-    background = [np.ones(grid.shape)] if block.fit_background else []
-    names = [f"quasar_{i}" for i in range(len(quasars))]
-    names += [f"light_{i}" for i in range(len(light))] + ["background"] * len(background)
-    images = np.array([*quasars, *light, *background]).reshape(len(names), grid.ny * grid.nx).T
-    return FixedColumns(tuple(names), np.ascontiguousarray(images), len(quasars))
-
-
-def lens_light_images(block: LensLightBlock, grid: PixelGrid, supersampling: int) -> FloatArray:
-    """Light per pixel of each component for amplitude 1, before the PSF [component, ny, nx]."""
-    x, y = grid.subpixel_coordinates(supersampling)
-    light = lens_light(block.lens_light_model_list, block.kwargs_lens_light, x, y)
-    return light.mean(axis=-1).reshape(len(light), *grid.shape) * grid.pixel_scale**2
+def _fit_datasets(fitted: LensFit) -> tuple[dict[str, Dataset], dict[str, Any]]:
+    """Parameters with their errors, and the history of the fit."""
+    model, solution = fitted.model, fitted.solution
+    description: dict[str, Any] = {
+        "converged": fitted.converged,
+        "history": [dataclasses.asdict(step) for step in fitted.history],
+        "parameters": [
+            {"name": item.name, "start": item.start, "lower": item.lower, "upper": item.upper, "sigma": item.sigma}
+            for item in model.space.parameters
+        ],
+        "source_center": solution.center.tolist(),
+        "kwargs_lens_light": list(solution.macro.kwargs_light),
+    }
+    datasets: dict[str, Dataset] = {}
+    if model.space.parameters:
+        matrix = covariance(model, solution)
+        axes = ("parameter",)
+        datasets["parameters/value"] = Dataset(solution.vector, "", axes, "best fit, as the metadata name them")
+        datasets["parameters/error"] = Dataset(np.sqrt(np.diag(matrix)), "", axes, "one sigma, priors included")
+        datasets["parameters/covariance"] = Dataset(matrix, "", (*axes, *axes), "from the final curvature")
+    for band, error in zip(model.bands, fitted.psf_errors or (), strict=bool(fitted.psf_errors)):
+        datasets[f"{band.name}/psf_error_radius"] = Dataset(
+            error.radius, "arcsec", ("ring",), "outer edges of the rings"
+        )
+        datasets[f"{band.name}/psf_error"] = Dataset(error.sigma, "", ("ring",), "error of the PSF in each ring")
+    return datasets, description

@@ -1,0 +1,115 @@
+"""Least squares over the parameters of the smooth model, its amplitudes solved for at every step."""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, optimize
+
+from warmlens.fitting.image_model import ImageModel, Solution
+from warmlens.types import FloatArray
+
+log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a fit ended.
+
+    Attributes
+    ----------
+    solution
+        Model at the best parameters.
+    converged
+        False if the steps ran out before chi2 stood still.
+    steps
+        Evaluations of the model.
+    message
+        What ended the fit.
+    """
+
+    solution: Solution
+    converged: bool
+    steps: int
+    message: str
+
+
+def fit_parameters(model: ImageModel, start: FloatArray, max_steps: int, tolerance: float, label: str) -> Outcome:
+    """Minimise |residuals|^2 from a start.
+
+    Parameters
+    ----------
+    model
+        Data, free parameters and source basis.
+    start
+        Parameter vector [n] inside the limits.
+    max_steps
+        Evaluations of the model allowed.
+    tolerance
+        The fit has converged when a step lowers the cost by less than this fraction.
+    label
+        Name of the fit in the log.
+
+    Notes
+    -----
+    Trust-region least squares with limits (scipy). The amplitudes are projected out of residuals and Jacobian
+    (Kaufman 1975): the gradient is exact, the curvature approximate.
+    """
+    begin = time.monotonic()
+    latest: list[Solution] = []
+    count = 0
+
+    def residuals(vector: FloatArray) -> FloatArray:
+        nonlocal count
+        solution = model.solve(vector)
+        latest[:] = [solution]
+        count += 1
+        log.info(
+            "%s, step %d of at most %d: chi2 per pixel %.4f, %.0f s",
+            label, count, max_steps, solution.chi2 / solution.n_pixels, time.monotonic() - begin,
+        )  # fmt: skip
+        return model.residuals(solution)
+
+    def jacobian(vector: FloatArray) -> FloatArray:
+        solution = latest[0] if np.array_equal(latest[0].vector, vector) else model.solve(vector)
+        return model.jacobian(solution)
+
+    lower, upper = model.space.limits
+    inside = np.clip(start, lower + 1e-6 * (upper - lower), upper - 1e-6 * (upper - lower))
+    found = optimize.least_squares(
+        residuals, inside, jacobian, (lower, upper), x_scale="jac",
+        ftol=tolerance, xtol=1e-7, gtol=1e-10, max_nfev=max_steps,
+    )  # fmt: skip
+    solution = latest[0] if np.array_equal(latest[0].vector, found.x) else model.solve(found.x)
+    return Outcome(solution, found.status > 0, count, str(found.message))
+
+
+def tempered(model: ImageModel, start: FloatArray) -> ImageModel:
+    """The model with its residuals divided by their size at `start`, if that is above the noise."""
+    solution = model.solve(start)
+    return replace(model, temperature=max(1.0, float(np.sqrt(solution.chi2 / solution.n_pixels))))
+
+
+def covariance(model: ImageModel, solution: Solution) -> FloatArray:
+    """Covariance of the parameters [n, n] from the curvature at the best fit, priors included.
+
+    Raises
+    ------
+    ValueError
+        If the data and the priors leave a direction undetermined.
+    """
+    jacobian = model.jacobian(solution)
+    norms = np.linalg.norm(jacobian, axis=0)
+    scaled = jacobian / np.where(norms > 0.0, norms, 1.0)
+    factor, info = linalg.lapack.dpotrf(scaled.T @ scaled, lower=1, clean=1)
+    # The square of a pivot is what the parameters before leave of one whose effect has unit norm.
+    smallest = float(np.diagonal(factor).min()) ** 2 if info == 0 else 0.0
+    if norms.min() <= 1e-10 * norms.max() or smallest <= norms.size * np.finfo(np.float64).eps:
+        raise ValueError(
+            "smooth_model.fit: data and priors do not determine all parameters; give the parameters of "
+            "smooth_model.fit a prior width, or free fewer of them"
+        )
+    return linalg.cho_solve((factor, True), np.eye(norms.size)) / np.outer(norms, norms)

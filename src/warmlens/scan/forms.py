@@ -1,0 +1,274 @@
+"""Compiled kernels of the operator: from the pieces of a position to its quadratic forms (docs/scan.md)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from warmlens.scan.nested import at_point, gathered, nested_columns
+from warmlens.scan.perturber import PerturbedBasis, basis_change, basis_response
+from warmlens.types import FloatArray, IntArray
+
+
+@njit(cache=True)
+def fill_change(
+    basis: PerturbedBasis,
+    positions: FloatArray,
+    pixel_offsets: IntArray,
+    pixels: IntArray,
+    first: int,
+    last: int,
+    change: FloatArray,
+) -> None:
+    """dB of the positions first..last-1, one below the other, into the leading columns of `change`."""
+    base = pixel_offsets[first]
+    for position in range(first, last):
+        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
+        if stop > start:
+            change[start - base : stop - base, : basis.n_coef] = basis_change(
+                basis, positions[position, 0], positions[position, 1], pixels[start:stop]
+            ).T
+
+
+@njit(cache=True)
+def fill_slope(
+    basis: PerturbedBasis,
+    positions: FloatArray,
+    pixel_offsets: IntArray,
+    pixels: IntArray,
+    first: int,
+    last: int,
+    slope: FloatArray,
+) -> None:
+    """dB' of the positions first..last-1, like `fill_change`."""
+    base = pixel_offsets[first]
+    for position in range(first, last):
+        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
+        if stop > start:
+            slope[start - base : stop - base, : basis.n_coef] = basis_response(
+                basis, positions[position, 0], positions[position, 1], pixels[start:stop]
+            ).T
+
+
+@njit(cache=True)
+def fill_rows(
+    nested: PerturbedBasis,
+    points: FloatArray,
+    projected: FloatArray,
+    solved: FloatArray,
+    pixel_offsets: IntArray,
+    pixels: IntArray,
+    first: int,
+    last: int,
+    rows: FloatArray,
+    images: FloatArray,
+) -> None:
+    """Rows Z = [Y, -G_E, -G N_s]^T [sum of 2m + n_nested, n] and images of N_s, position after position.
+
+    `solved` holds Y^T [moved pixels, n]; `images` is [positions that move something, n_nested, npix], zero before.
+    """
+    base, row, active = pixel_offsets[first], 0, 0
+    for position in range(first, last):
+        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
+        m = stop - start
+        if m == 0:
+            continue
+        rows[row : row + m] = solved[start - base : stop - base]
+        for i in range(m):
+            rows[row + m + i] = -projected[pixels[start + i]]
+        if nested.n_coef > 0:
+            seen, columns = nested_columns(nested, points[position])
+            rows[row + 2 * m : row + 2 * m + nested.n_coef] = -gathered(seen, columns, projected)
+            for i in range(seen.size):
+                images[active, :, seen[i]] = columns[i]
+        row += 2 * m + nested.n_coef
+        active += 1
+
+
+@njit(cache=True)
+def fill_forms(
+    nested: PerturbedBasis,
+    points: FloatArray,
+    positions: FloatArray,
+    ridge: float,
+    psf: FloatArray,
+    weights: FloatArray,
+    overlap: FloatArray,
+    rows: FloatArray,
+    prior_rows: FloatArray,
+    slopes: FloatArray,
+    prior_slopes: FloatArray,
+    images: FloatArray,
+    convolved: FloatArray,
+    pixel_offsets: IntArray,
+    pixels: IntArray,
+    first: int,
+    last: int,
+    matrix_offsets: IntArray,
+    matrices: FloatArray,
+    sensitivity: FloatArray,
+    nested_inverse: FloatArray,
+    response_offsets: IntArray,
+    responses: FloatArray,
+    response_noise: FloatArray,
+) -> int:
+    """Q, Gamma, C_s^-1 and, unless `responses` is empty, K, R and f of the positions first..last-1.
+
+    They are made from the rows Z^T, `prior_rows` (Lambda^1/2 L^-T Z)^T and V_s (`convolved`), and for the response
+    from `slopes` Y'^T and `prior_slopes` (Lambda^1/2 L^-T Y')^T [moved pixels, n]. Returns the first
+    position whose nested columns are degenerate, -1 if there is none.
+    """
+    n_nested = nested.n_coef
+    base = pixel_offsets[first]
+    row, active = 0, 0
+    brightest = weights.max()
+    for position in range(first, last):
+        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
+        m = stop - start
+        if m == 0:
+            continue
+        moved = pixels[start:stop]
+        size = 2 * m + n_nested
+        Z = rows[row : row + size]
+        R = prior_rows[row : row + size]
+        system = np.dot(Z, Z.T)
+        form = -np.dot(R, R.T)  # Gamma of docs/scan.md, without the part that the system holds too
+        form[:m, :m] += system[:m, :m]
+        _subtract_overlap(system[m : 2 * m, m : 2 * m], overlap, weights.shape[1], moved)
+        for i in range(m):
+            system[m + i, i] -= 1.0
+            system[i, m + i] -= 1.0
+        form[m : 2 * m, m : 2 * m] -= system[m : 2 * m, m : 2 * m]
+        M = np.linalg.inv(system[: 2 * m, : 2 * m].copy())
+        M = 0.5 * (M + M.T)
+        Q = np.zeros((size, size))
+        Q[: 2 * m, : 2 * m] = M
+        K = -system[m : 2 * m, m : 2 * m]  # S - G_E^T G_E
+        shift = np.zeros((n_nested, 2 * m))  # R^T
+        scatter, prior_slope = np.zeros((m, m)), np.zeros((0, 0))
+        if responses.size > 0:
+            slope = slopes[start - base : stop - base]
+            prior_slope = prior_slopes[start - base : stop - base].copy()
+            scatter = np.dot(slope, slope.T)
+        if n_nested > 0:
+            V = convolved[active]  # [n_nested, npix]
+            gram = np.dot(V, V.T)
+            light = 0.0
+            for i in range(n_nested):
+                light = max(light, np.dot(images[active, i], images[active, i]))
+            lam = ridge * np.diag(gram).max()
+            # Only on masked pixels: V is all rounding of the FFT, and the columns are left out of both fits.
+            if lam > ridge * 1e-24 * brightest**2 * light:
+                UV = _seen_through(psf, weights, V, moved)
+                spot = positions[position]
+                change = basis_change(at_point(nested, points[position]), spot[0], spot[1], moved)  # dN^T
+                # X = [-(G N_s)^T Y + dN^T, (G N_s)^T G_E - V_s^T U]
+                X = system[2 * m :, : 2 * m].copy()
+                X[:, :m] += change
+                X[:, m:] -= UV.T
+                C_s = gram - system[2 * m :, 2 * m :]
+                form[2 * m :, 2 * m :] += C_s
+                form[2 * m :, m : 2 * m] -= X[:, m:]
+                for i in range(n_nested):
+                    C_s[i, i] += lam
+                XM = np.dot(X, M)
+                gain = np.dot(XM, X.T)
+                gain = 0.5 * (gain + gain.T)
+                C_p = C_s + gain
+                if np.linalg.eigvalsh(C_s)[0] <= 0.0 or np.linalg.eigvalsh(C_p)[0] <= 0.0:
+                    return position
+                inverse_s, inverse_p = np.linalg.inv(C_s), np.linalg.inv(C_p)
+                cross = np.dot(inverse_p, XM)  # C_p^-1 X M
+                Q[: 2 * m, : 2 * m] -= np.dot(XM.T, cross)
+                Q[2 * m :, : 2 * m] = cross
+                # C_s^-1 - C_p^-1 without the cancellation
+                Q[2 * m :, 2 * m :] = np.dot(inverse_s, np.dot(gain, inverse_p))
+                if responses.size > 0:
+                    # R^T = C_s^-1 [X'_1, X_2], X'_1 = -(G N_s)^T Y' + dN'^T; K = S - G_E^T G_E - X_2^T C_s^-1 X_2
+                    X_1 = basis_response(at_point(nested, points[position]), spot[0], spot[1], moved)  # dN'^T
+                    X_1 += np.dot(Z[2 * m :], slopes[start - base : stop - base].T)
+                    X_2 = X[:, m:].copy()
+                    part = np.dot(inverse_s, X_1)
+                    shift[:, :m] = part
+                    scatter += np.dot(X_1.T, part) - lam * np.dot(part.T, part)
+                    prior_slope += np.dot(part.T, R[2 * m :])
+                    shift[:, m:] = np.dot(inverse_s, X_2)
+                    K -= np.dot(X_2.T, shift[:, m:].copy())
+                k = 0
+                for i in range(n_nested):
+                    for j in range(i + 1):
+                        nested_inverse[position, k] = 0.5 * (inverse_s[i, j] + inverse_s[j, i])
+                        k += 1
+            else:
+                form[2 * m :] = 0.0
+        # The lower triangles; above the diagonal Q[v, rho] and its like in Gamma were never filled.
+        k = matrix_offsets[position]
+        for i in range(size):
+            for j in range(i + 1):
+                same = (i < 2 * m) or (j >= 2 * m)
+                matrices[k] = 0.5 * (Q[i, j] + Q[j, i]) if same else Q[i, j]
+                sensitivity[k] = form[i, j]
+                k += 1
+        if responses.size > 0:
+            # f = tr(K Cov delta'): unit noise n in the data makes A N^-1 n of the fit, with the prior in N alone
+            response_noise[position] = np.sum(K * (scatter - np.dot(prior_slope, prior_slope.T)))
+            k = response_offsets[position]
+            for i in range(m):
+                for j in range(i + 1):
+                    responses[k] = 0.5 * (K[i, j] + K[j, i])
+                    k += 1
+            for i in range(2 * m):
+                for j in range(n_nested):
+                    responses[k] = shift[j, i]
+                    k += 1
+        row += size
+        active += 1
+    return -1
+
+
+@njit(cache=True)
+def _subtract_overlap(block: FloatArray, overlap: FloatArray, n_columns: int, moved: IntArray) -> None:
+    """block -= S, from the table of `BandProjection.overlap`."""
+    span = overlap.shape[0] - 1
+    for i in range(moved.size):
+        for j in range(i, moved.size):  # ascending pixels: j is in the same row as i or in a later one
+            dy = moved[j] // n_columns - moved[i] // n_columns
+            dx = moved[j] % n_columns - moved[i] % n_columns
+            S_ij = overlap[dy, dx + span, moved[i]]
+            block[j, i] -= S_ij
+            if j > i:
+                block[i, j] -= S_ij
+
+
+@njit(cache=True, fastmath={"reassoc", "contract"})
+def _seen_through(psf: FloatArray, weights: FloatArray, V: FloatArray, moved: IntArray) -> FloatArray:
+    """U^T V = (P^T W V)_E [m, n_nested]: summed directly, since only the m moved pixels are wanted."""
+    n_rows, n_columns = weights.shape
+    middle_y, middle_x = psf.shape[0] // 2, psf.shape[1] // 2
+    out = np.zeros((moved.size, V.shape[0]))
+    for item in range(V.shape[0]):
+        image = weights * V[item].reshape(n_rows, n_columns)
+        for i in range(moved.size):
+            row, column = moved[i] // n_columns, moved[i] % n_columns
+            left, right = max(0, column - middle_x), min(n_columns, column + middle_x + 1)
+            shift = middle_x - column
+            total = 0.0
+            for y in range(max(0, row - middle_y), min(n_rows, row + middle_y + 1)):
+                kernel, line = psf[y - row + middle_y], image[y]
+                for x in range(left, right):
+                    total += kernel[x + shift] * line[x]
+            out[i, item] = total
+    return out
+
+
+@njit(cache=True)
+def unpack(triangle: FloatArray, start: int, size: int) -> FloatArray:
+    """The symmetric matrix [size, size] whose lower triangle lies row by row from `start` on."""
+    out = np.empty((size, size))
+    k = start
+    for i in range(size):
+        for j in range(i + 1):
+            out[i, j] = triangle[k]
+            out[j, i] = triangle[k]
+            k += 1
+    return out

@@ -1,0 +1,258 @@
+"""Linear response: the best small amplitude of the perturber at each position, and what a mass would change.
+
+Symbols are those of docs/scan.md, "Linear response". The amplitude eps is 1 for the perturber's theta_e.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from warmlens.imaging.shapelets import ShapeletSet
+from warmlens.lensing.rays import SmoothRays
+from warmlens.scan.forms import unpack
+from warmlens.scan.nested import gathered, nested_basis, nested_columns
+from warmlens.scan.operator import OperatorShard
+from warmlens.scan.perturber import (
+    PerturbedBasis,
+    Perturber,
+    basis_change,
+    basis_response,
+    perturbed_basis,
+)
+from warmlens.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class LinearResponse:
+    """Score and Fisher information of the amplitude of a perturber.
+
+    Those of several bands add up. All are 0 where the perturber moves no unmasked pixel.
+
+    Attributes
+    ----------
+    score
+        -1/2 dJ/d eps at eps = 0, any shape.
+    fisher
+        Information on eps, what the linear columns can mimic taken out; the variance of the score. Same shape.
+    noise
+        f, the part of it that the noise of the fitted source makes on the mean; shape to broadcast.
+    """
+
+    score: FloatArray
+    fisher: FloatArray
+    noise: FloatArray
+
+    @property
+    def amplitude(self) -> FloatArray:
+        """Unbiased eps = s / (F - f); NaN where the source is not known well enough for F > f."""
+        return self.significance * self.error
+
+    @property
+    def error(self) -> FloatArray:
+        """Standard deviation of the amplitude, sqrt(F) / (F - f); NaN like it."""
+        known = self.fisher > self.noise
+        clean = self.fisher - self.noise
+        return np.divide(np.sqrt(self.fisher), clean, out=np.full_like(self.fisher, np.nan), where=known)
+
+    @property
+    def significance(self) -> FloatArray:
+        """Score in units of its error, s / sqrt(F): normal with variance 1 without perturber; NaN where F = 0."""
+        out = np.full_like(self.score, np.nan)
+        return np.divide(self.score, np.sqrt(self.fisher), out=out, where=self.fisher > 0.0)
+
+
+def linear_response(
+    shard: OperatorShard,
+    sets: tuple[ShapeletSet, ...],
+    rays: SmoothRays,
+    perturber: Perturber,
+    source_coefficients: FloatArray,
+    tau: FloatArray,
+) -> LinearResponse:
+    """Score and Fisher information of every position and mock, one band [n_positions, k]; noise [n_positions, 1].
+
+    Parameters
+    ----------
+    shard, sets, rays, perturber, source_coefficients, tau
+        As for `warmlens.scan.maps.delta_r`; the shard built with its response.
+    """
+    basis = perturbed_basis(sets, rays, perturber)
+    _check(shard, basis, source_coefficients)
+    if tau.shape != (rays.theta_x.shape[0], source_coefficients.shape[1]):
+        raise ValueError(
+            f"tau must be [npix, k] = [{rays.theta_x.shape[0]}, {source_coefficients.shape[1]}], got {tau.shape}"
+        )
+    score, fisher = _respond(
+        basis,
+        nested_basis(shard.nested_n_max, rays, perturber),
+        shard.positions,
+        shard.points,
+        shard.pixel_offsets,
+        shard.pixels,
+        shard.response_offsets,
+        shard.responses,
+        np.ascontiguousarray(source_coefficients, dtype=np.float64),
+        np.ascontiguousarray(tau, dtype=np.float64),
+    )
+    return LinearResponse(score, fisher, shard.response_noise[:, None])
+
+
+def expected_delta_r(
+    shard: OperatorShard,
+    sets: tuple[ShapeletSet, ...],
+    rays: SmoothRays,
+    perturber: Perturber,
+    theta_e: Sequence[float],
+    source_coefficients: FloatArray,
+) -> FloatArray:
+    """Expected Delta R, <= 0, of an image of this source that does contain the perturber fitted to it.
+
+    One band. With data A(theta_e) x + noise the fit with the perturber leaves noise alone; the one without
+    also what the other columns cannot mimic of U dB x, which is delta.K delta whatever theta_e. No
+    linearisation in theta_e, and no other operator; only the penalty of the priors is neglected.
+
+    Parameters
+    ----------
+    shard, sets, rays, perturber
+        As for `linear_response`; the perturber's own theta_e does not matter.
+    theta_e
+        Deflections inside r_trunc [arcsec], [n].
+    source_coefficients
+        Of the unscaled source columns [n_source].
+
+    Returns
+    -------
+    FloatArray
+        [n, n_positions], 0 where the perturber moves no unmasked pixel.
+    """
+    source_coefficients = np.ascontiguousarray(source_coefficients, dtype=np.float64)
+    _check(shard, perturbed_basis(sets, rays, perturber), source_coefficients[:, None])
+    return np.stack(
+        [
+            -_improvement(
+                perturbed_basis(sets, rays, dataclasses.replace(perturber, theta_e=float(value))),
+                shard.positions,
+                shard.pixel_offsets,
+                shard.pixels,
+                shard.response_offsets,
+                shard.responses,
+                source_coefficients,
+            )
+            for value in theta_e
+        ]
+    )
+
+
+def detectable_theta_e(theta_e: FloatArray, expected: FloatArray, delta_r: float) -> FloatArray:
+    """Smallest theta_e [arcsec] with which the expected Delta R falls to -delta_r.
+
+    Parameters
+    ----------
+    theta_e
+        Rising values [arcsec], [n].
+    expected
+        `expected_delta_r` of them, of all bands together, [n, ...].
+    delta_r
+        What counts as seen, > 0.
+
+    Returns
+    -------
+    FloatArray
+        [...]. Between the values a power law; below the first the square of theta_e, as it is for
+        small deflections; NaN where even the largest is not seen.
+    """
+    gain = -np.asarray(expected)
+    seen = gain >= delta_r
+    upper = np.argmax(seen, axis=0)  # the first that is seen
+    lower = np.maximum(upper - 1, 0)
+    high = np.take_along_axis(gain, upper[None], axis=0)[0]
+    low = np.take_along_axis(gain, lower[None], axis=0)[0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        below = theta_e[upper] * np.sqrt(delta_r / high)
+        slope = np.log(theta_e[upper] / theta_e[lower]) / np.log(high / low)
+        between = theta_e[upper] * (delta_r / high) ** slope
+    return np.where(seen.any(axis=0), np.where(upper == 0, below, between), np.nan)
+
+
+def mass_within_truncation(theta_e: FloatArray, r_trunc: float, sigma_crit: float) -> FloatArray:
+    """Mass of the perturber within r_trunc [Msun]: pi theta_e r_trunc Sigma_crit, as its deflection there says.
+
+    `sigma_crit` is in Msun per square arcsec of the lens plane, theta_e and r_trunc in arcsec.
+    """
+    return np.pi * theta_e * r_trunc * sigma_crit
+
+
+def _check(shard: OperatorShard, basis: PerturbedBasis, source_coefficients: FloatArray) -> None:
+    if shard.responses.size != shard.response_offsets[-1]:
+        raise ValueError("the shard has no linear response; build it and read it with")
+    if source_coefficients.ndim != 2 or source_coefficients.shape[0] != basis.n_coef:
+        raise ValueError(
+            f"source_coefficients must have n_source = {basis.n_coef} rows for these sets, "
+            f"got {source_coefficients.shape}"
+        )
+
+
+@njit(cache=True)
+def _respond(
+    basis: PerturbedBasis,
+    nested: PerturbedBasis,
+    positions: FloatArray,
+    points: FloatArray,
+    pixel_offsets: IntArray,
+    pixels: IntArray,
+    response_offsets: IntArray,
+    responses: FloatArray,
+    coefficients: FloatArray,
+    tau: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    n_fits = coefficients.shape[1]
+    score, fisher = np.zeros((positions.shape[0], n_fits)), np.zeros((positions.shape[0], n_fits))
+    for position in range(positions.shape[0]):
+        moved = pixels[pixel_offsets[position] : pixel_offsets[position + 1]]
+        m = moved.size
+        if m == 0:
+            continue
+        start, stop = response_offsets[position], response_offsets[position + 1]
+        v = np.empty((2 * m, n_fits))  # [delta'; t] of the smooth fit
+        change = basis_response(basis, positions[position, 0], positions[position, 1], moved)
+        v[:m] = np.dot(change.T, coefficients)  # delta' = dB' x
+        for i in range(m):
+            v[m + i] = tau[moved[i]]
+        if nested.n_coef > 0:
+            seen, columns = nested_columns(nested, points[position])
+            R = responses[start + m * (m + 1) // 2 : stop].copy().reshape(2 * m, nested.n_coef)
+            v += np.dot(R, gathered(seen, columns, tau))  # of the fit with the nested shapelets
+        Kd = np.dot(unpack(responses, start, m), v[:m])
+        for i in range(m):
+            for fit in range(n_fits):
+                score[position, fit] += v[i, fit] * v[m + i, fit]  # s = t . delta'
+                fisher[position, fit] += v[i, fit] * Kd[i, fit]  # F = delta' . K delta'
+        for fit in range(n_fits):
+            fisher[position, fit] = max(fisher[position, fit], 0.0)
+    return score, fisher
+
+
+@njit(cache=True)
+def _improvement(
+    basis: PerturbedBasis,
+    positions: FloatArray,
+    pixel_offsets: IntArray,
+    pixels: IntArray,
+    response_offsets: IntArray,
+    responses: FloatArray,
+    coefficients: FloatArray,
+) -> FloatArray:
+    out = np.zeros(positions.shape[0])
+    for position in range(positions.shape[0]):
+        moved = pixels[pixel_offsets[position] : pixel_offsets[position + 1]]
+        if moved.size > 0:
+            change = basis_change(basis, positions[position, 0], positions[position, 1], moved)
+            delta = np.dot(change.T, coefficients)
+            K = unpack(responses, response_offsets[position], moved.size)
+            out[position] = max(np.dot(delta, np.dot(K, delta)), 0.0)
+    return out
