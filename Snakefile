@@ -28,6 +28,7 @@ rule all:
         # every stage's files, so that a deleted artifact is made again
         [stage_files(CAMPAIGN, stage) for stage in STAGES],
         results(TABLE),
+        results(NUMBERS),
         expand(results("figures/{figure}.png"), figure=FIGURES),
     message:
         "all artifacts and figures are there"

@@ -158,13 +158,14 @@ def abc(
     smooth_model: Input,
     output: Output,
     table: Output,
+    numbers: Output,
 ) -> None:
     """Accept samples and bound the mass of the thermal relic."""
     from warmlens.stages import abc as stage
     from warmlens.stages.settings import AbcSettings
 
     settings = AbcSettings.model_validate(json.loads(params))
-    stage.run(settings, summary, observed_summary, smooth_model, output, table)
+    stage.run(settings, summary, observed_summary, smooth_model, output, table, numbers)
 
 
 @app.command()
@@ -244,10 +245,21 @@ def audit(results: Results, configfile: ConfigFiles = None) -> None:
 
 @app.command()
 def result(results: Results) -> None:
-    """Print the bound of a finished campaign and where to look."""
-    from warmlens.status import print_result
+    """Print the bound of a finished campaign, what stands beside it, and where to look."""
+    from warmlens.result import print_result
 
     print_result(results)
+
+
+@app.command()
+def combine(
+    results: Annotated[list[Path], typer.Argument(help="Results folders of campaigns, each of another lens.")],
+    output: Annotated[Optional[Path], typer.Option(help="JSON file for the numbers.")] = None,  # noqa: UP045
+) -> None:
+    """Combine lenses: the product of their likelihood ratios in the relic mass, and its bound."""
+    from warmlens.combination import combine_results
+
+    combine_results(results, output)
 
 
 def _load(overlays: list[Path] | None) -> Config:

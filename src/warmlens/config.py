@@ -509,9 +509,11 @@ class SummariesBlock(Block):
 class AbcBlock(Block):
     """Acceptance and bound."""
 
-    acceptance: Literal["max_rank"]
+    acceptance: Literal["max_rank", "marginal_and", "scaled_sum", "correlation", "cumulative"]
     fraction: Annotated[float, Field(gt=0, le=1)]
+    distance: Literal["integral", "whitened"] = "integral"
     bootstrap: Annotated[int, Field(ge=100)]
+    leave_one_out: Annotated[int, Field(ge=10)] = 1000
     max_failed_fraction: Annotated[float, Field(ge=0, lt=1)]
 
 

@@ -31,6 +31,7 @@ FIGURES = (
 FIGURE_VERSION = 3  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
 CONFIG = "config.json"
 TABLE = "abc.csv"
+NUMBERS = "abc.json"
 
 
 def chunks(config: Config) -> list[Span]:

@@ -1,4 +1,4 @@
-"""How far a campaign is, and what came out of it."""
+"""How far a campaign is."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.table import Table
 from warmlens.artifacts import ArtifactError, open_artifact
 from warmlens.config import Config
 from warmlens.config_file import parse_config
-from warmlens.layout import CHUNKED, CONFIG, FIGURES, SINGLE, TABLE, stage_files
+from warmlens.layout import CHUNKED, CONFIG, stage_files
 from warmlens.stages.settings import STAGES
 
 
@@ -102,26 +102,3 @@ def _duration(seconds: float) -> str:
     if hours:
         return f"{hours} h {minutes:02d} min"
     return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
-
-
-def print_result(results: Path) -> None:
-    """Print bound, prior-only bound, warnings, and where posterior and figures are."""
-    path = results / SINGLE["abc"]
-    with open_artifact(path, "abc") as artifact:
-        meta = artifact.metadata
-    with open_artifact(results / SINGLE["smooth_model"], "smooth_model") as artifact:
-        chi2 = {band: artifact.metadata["fits"][band]["chi2_red"] for band in artifact.metadata["bands"]}
-    bound = meta["bounds"][meta["headline"]]
-    console = Console(highlight=False, soft_wrap=True)
-    for warning in meta["warnings"]:
-        console.print(f"[bold red]WARNING[/] {warning}")
-    console.print(
-        f"[bold]m_TH > {bound['value_kev']:.2f} +- {bound['mc_error_kev']:.2f} keV[/] "
-        f"({100 * (1 - bound['level']):.2f}% one-sided, {meta['n_accepted']} of {meta['n_samples']} samples "
-        f"accepted); the prior alone gives {bound['prior_only_kev']:.2f} keV"
-    )
-    console.print(
-        "smooth model: " + ", ".join(f"chi2_red = {value:.3f} in {band}" for band, value in chi2.items())
-    )
-    console.print(f"posterior:    {path} and {results / TABLE}")
-    console.print(f"figures:      {results / 'figures'}/ ({', '.join(FIGURES)}).png")

@@ -3,7 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warmlens.inference.acceptance import accept_max_rank, max_rank, number_accepted
+from warmlens.inference.acceptance import (
+    RULES,
+    accept,
+    accept_max_rank,
+    max_rank,
+    number_accepted,
+    reduce_distances,
+)
 
 
 def test_max_rank_by_hand():
@@ -89,3 +96,54 @@ def test_bad_input_is_refused():
         accept_max_rank(np.ones((2, 50)), 0.1, np.where(np.arange(50) == 3, 7, np.arange(50)), rng)
     with pytest.raises(ValueError, match="n_kinds"):
         max_rank(np.ones(5))
+
+
+def test_the_other_rules_by_hand():
+    distances = np.array([[1.0, 2.0, 3.0, 4.0, 9.0], [10.0, 50.0, 20.0, 90.0, 30.0]])
+    rng, ids = np.random.default_rng(0), np.arange(5)
+
+    def rows(rule, fraction):
+        return np.flatnonzero(accept(distances, rule, fraction, ids, rng).accepted).tolist()
+
+    assert rows("correlation", 0.4) == [0, 1]
+    assert rows("cumulative", 0.4) == [0, 2]
+    assert rows("marginal_and", 0.4) == [0]
+    assert rows("marginal_and", 0.6) == [0, 2]
+    # MADs are 1 and 20: sums 1.5, 4.5, 4, 8.5, 10.5
+    np.testing.assert_allclose(reduce_distances(distances, "scaled_sum"), [[1.5, 4.5, 4.0, 8.5, 10.5]])
+    assert rows("scaled_sum", 0.6) == [0, 1, 2]
+    assert rows("max_rank", 0.4) == [0, 2]
+
+
+def test_rules_agree_on_one_and_the_same_distance_and_differ_otherwise():
+    rng, ids = np.random.default_rng(7), np.arange(500)
+    same = np.tile(rng.random(500), (2, 1))
+    accepted = [accept(same, rule, 0.1, ids, np.random.default_rng(1)).accepted for rule in RULES]
+    assert all((row == accepted[0]).all() for row in accepted)
+    apart = rng.random((2, 500))
+    distinct = {accept(apart, rule, 0.1, ids, np.random.default_rng(1)).accepted.tobytes() for rule in RULES}
+    assert len(distinct) == len(RULES)
+    # independent distances: 0.1^2 of the rows pass both cuts, while max_rank widens the cuts until 10% pass
+    assert accept(apart, "marginal_and", 0.1, ids, rng).k < 15
+    widened = accept(apart, "max_rank", 0.1, ids, rng)
+    assert widened.k == 50
+    assert widened.implied_quantile == pytest.approx(np.sqrt(0.1), abs=0.05)
+
+
+def test_ties_in_marginal_cuts_are_all_in_and_counted():
+    distances = np.zeros((2, 100))
+    distances[1] = np.arange(100)
+    result = accept(distances, "marginal_and", 0.1, np.arange(100), np.random.default_rng(0))
+    np.testing.assert_array_equal(np.flatnonzero(result.accepted), np.arange(10))
+    assert result.n_tied == 90
+
+
+def test_rules_refuse_what_they_cannot_do():
+    zero = np.zeros((2, 50))
+    zero[1] = np.arange(50)
+    with pytest.raises(ValueError, match=r"abc\.acceptance: scaled_sum is undefined; use max_rank"):
+        accept(zero, "scaled_sum", 0.1, np.arange(50), np.random.default_rng(0))
+    with pytest.raises(ValueError, match="unknown rule 'best'"):
+        accept(zero, "best", 0.1, np.arange(50), np.random.default_rng(0))
+    with pytest.raises(ValueError, match="needs the distances"):
+        accept(zero[:1], "cumulative", 0.1, np.arange(50), np.random.default_rng(0))

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm, rankdata, truncnorm
 
-from warmlens.inference.acceptance import accept_max_rank
+from warmlens.inference.acceptance import accept, accept_max_rank, reduce_distances
+from warmlens.inference.bootstrap import bootstrap_counts, quantiles_of_counts
 from warmlens.inference.bound import (
     LEVELS,
-    bootstrap_bounds,
+    TooFewError,
     effective_sample_size,
     lower_bounds,
     uniform_prior_bound,
@@ -110,7 +111,9 @@ def test_bootstrap_is_that_of_explicit_tables():
     m = np.sort(rng.uniform(*PRIOR, n))
     distances = rng.integers(0, 12, (2, n)).astype(float)  # ties between rows
     weights = rng.random(n)
-    found = bootstrap_bounds(m, distances, fraction, levels, 25, np.random.default_rng(15), weights)
+    counts = bootstrap_counts(distances, "max_rank", [fraction, 0.1], 25, np.random.default_rng(15))
+    assert (counts.sum(axis=2) == np.array([[18], [6]])).all()
+    found = quantiles_of_counts(m, counts[0], levels, weights)
     rng = np.random.default_rng(15)
     times, keys = rng.multinomial(n, np.full(n, 1 / n), size=25), rng.random((25, n))
     for row, count, key in zip(found, times, keys, strict=True):
@@ -182,3 +185,33 @@ def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="one table"):
         acceptance = accept_max_rank(distances, 0.1, np.arange(100), np.random.default_rng(0))
         lower_bounds(m[:50], acceptance, distances, np.arange(100), PRIOR, np.random.default_rng(0))
+
+
+@pytest.mark.parametrize("rule", ["marginal_and", "scaled_sum", "cumulative"])
+def test_bootstrap_of_the_other_rules_is_that_of_explicit_tables(rule):
+    rng = np.random.default_rng(22)
+    n = 80
+    distances = rng.integers(0, 12, (2, n)).astype(float)  # ties between rows
+    counts = bootstrap_counts(distances, rule, [0.3], 25, np.random.default_rng(23))[0]
+    again = np.random.default_rng(23)
+    times = again.multinomial(n, np.full(n, 1 / n), size=25)
+    keys = again.random((25, n)) if rule != "marginal_and" else np.zeros((25, n))
+    cut_on = reduce_distances(distances, rule)
+    for row, count, key in zip(counts, times, keys, strict=True):
+        rows = np.repeat(np.arange(n), count)
+        if rule == "marginal_and":
+            taken = rows[accept(distances[:, rows], rule, 0.3, np.arange(n), rng).accepted]
+        else:
+            score = rankdata(cut_on[:, rows], method="max", axis=1).max(axis=0)
+            taken = rows[np.lexsort((key[rows], score))[:24]]
+        np.testing.assert_array_equal(row, np.bincount(taken, minlength=n))
+
+
+def test_a_bound_of_too_few_marginal_cuts_is_refused_with_its_estimate():
+    m, distances = gaussian_table(400, seed=24)
+    acceptance = accept(distances, "marginal_and", 0.05, np.arange(400), np.random.default_rng(0))
+    assert 0 < acceptance.k < 50
+    with pytest.raises(TooFewError, match=r"marginal_and leaves \d+ of 400.*raise abc.fraction = 0.05") as caught:
+        lower_bounds(m, acceptance, distances, np.arange(400), PRIOR, np.random.default_rng(0))
+    lowest = np.sort(m[acceptance.accepted])
+    assert caught.value.estimate == lowest[int(np.ceil(0.0455 * acceptance.k)) - 1]

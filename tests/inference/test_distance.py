@@ -3,7 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warmlens.inference.distance import correlation_distance, cumulative_distance
+from warmlens.inference.distance import (
+    correlation_distance,
+    cumulative_distance,
+    integral_features,
+    ledoit_wolf,
+    squared_distances,
+    whitened_features,
+)
 
 DR = np.linspace(0.0, 2.5, 51)
 
@@ -41,3 +48,41 @@ def test_wrong_grids_are_refused():
         correlation_distance(DR[::-1], np.zeros(51), np.zeros(51))
     with pytest.raises(ValueError, match="first correlation function has shape"):
         correlation_distance(DR, np.zeros(50), np.zeros(51))
+
+
+def test_points_have_the_distance_of_the_integrals():
+    rng = np.random.default_rng(1)
+    grid = np.sort(rng.random(20))
+    first, second = rng.random((5, 20)), rng.random((4, 20))
+    found = squared_distances(integral_features(grid, first), integral_features(grid, second))
+    np.testing.assert_allclose(found, correlation_distance(grid, first[:, None], second[None]), rtol=1e-12)
+
+
+def test_shrunk_covariance_is_that_of_an_independent_code():
+    sklearn = pytest.importorskip("sklearn.covariance")
+    rows = np.random.default_rng(2).standard_normal((40, 25)) @ np.diag(np.linspace(0.5, 3.0, 25)) + 7.0
+    found, shrinkage = ledoit_wolf(rows)
+    expected, intensity = sklearn.ledoit_wolf(rows)
+    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+    assert shrinkage == pytest.approx(intensity)
+    assert 0.0 < shrinkage < 1.0
+
+
+def test_whitening_is_without_scale_and_correlation():
+    rng = np.random.default_rng(3)
+    mixing = rng.random((6, 6))
+    rows, observed = rng.standard_normal((5000, 6)) @ mixing, rng.standard_normal(6) @ mixing
+    white, white_observed = whitened_features(rows, observed)
+    np.testing.assert_allclose(np.cov(white.T), np.eye(6), atol=0.25)
+    scaled, scaled_observed = whitened_features(rows * [1e6, 1, 1, 1e-6, 1, 1], observed * [1e6, 1, 1, 1e-6, 1, 1])
+    np.testing.assert_allclose(
+        squared_distances(white_observed[None], white), squared_distances(scaled_observed[None], scaled), rtol=1e-6
+    )
+    constant = np.column_stack([rows, np.zeros(5000)])
+    again, again_observed = whitened_features(constant, np.append(observed, 0.0))
+    assert again.shape == (5000, 6)
+    outlier, outlier_observed = whitened_features(constant, np.append(observed, 9.0))
+    assert (
+        squared_distances(outlier_observed[None], outlier).min()
+        > squared_distances(again_observed[None], again).min()
+    )

@@ -6,6 +6,7 @@ rule abc:
     output:
         artifact=ensure(single("abc"), non_empty=True),
         table=ensure(results(TABLE), non_empty=True),
+        numbers=ensure(results(NUMBERS), non_empty=True),
     params:
         settings=settings("abc"),
         summaries=lambda wildcards, input: repeated("summary", input.summaries),
@@ -21,4 +22,4 @@ rule abc:
     shell:
         "warmlens abc --params {params.settings:q} {params.summaries}"
         " --observed-summary {input.observed_summary:q} --smooth-model {input.smooth_model:q}"
-        " --output {output.artifact:q} --table {output.table:q} > {log:q} 2>&1"
+        " --output {output.artifact:q} --table {output.table:q} --numbers {output.numbers:q} > {log:q} 2>&1"

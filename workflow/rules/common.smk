@@ -9,7 +9,7 @@ from snakemake.exceptions import WorkflowError
 from warmlens import runtime
 from warmlens.artifacts import atomic_path, canonical_json
 from warmlens.config_file import ConfigError, parse_config
-from warmlens.layout import CONFIG, FIGURE_VERSION, FIGURES, SINGLE, TABLE, stage_files
+from warmlens.layout import CONFIG, FIGURE_VERSION, FIGURES, NUMBERS, SINGLE, TABLE, stage_files
 from warmlens.stages.settings import STAGES, stage_settings
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.

@@ -1,13 +1,29 @@
-"""Which samples of the table count as close to the observation."""
+"""Which samples of the table count as close to the observation: four rules.
+
+max_rank
+    The k = round(f n) samples with the smallest larger rank of the distances: the AND of a cut on each
+    distance at one common quantile. The default.
+marginal_and
+    Samples below the f quantile of every distance; how many those are depends on how the distances correlate.
+scaled_sum
+    The k smallest sums of d_i / MAD(d_i).
+correlation, cumulative
+    The k smallest values of one distance alone.
+
+Reference: Birrer+2017 sec. 5 ("reside in the best 5% of the sample" of both); docs/inference.md.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import rankdata
+from scipy.stats import median_abs_deviation, rankdata
 
 from warmlens.types import BoolArray, FloatArray, IntArray
+
+KINDS = ("correlation", "cumulative")
+RULES = ("max_rank", "marginal_and", "scaled_sum", *KINDS)
 
 
 @dataclass(frozen=True)
@@ -26,6 +42,8 @@ class Acceptance:
         Rows that share the score at the cut, when some of them are accepted and some are not; 0 otherwise.
     implied_quantile
         Common quantile of all distances below which the accepted rows lie: the largest accepted r_j / n.
+    rule
+        One of `RULES`.
     """
 
     accepted: BoolArray
@@ -33,6 +51,7 @@ class Acceptance:
     fraction: float
     n_tied: int
     implied_quantile: float
+    rule: str = "max_rank"
 
     @property
     def n(self) -> int:
@@ -43,6 +62,80 @@ class Acceptance:
     def k(self) -> int:
         """Number of accepted samples."""
         return int(self.accepted.sum())
+
+
+def accept(
+    distances: FloatArray, rule: str, fraction: float, sample_id: IntArray, rng: np.random.Generator
+) -> Acceptance:
+    """Accept rows by one of the `RULES`.
+
+    Parameters
+    ----------
+    distances
+        Distance of each sample to the observation, [n_kinds, n]; the kinds in the order of `KINDS`.
+    rule
+        One of `RULES`.
+    fraction
+        Fraction to accept; the paper's 0.05. With marginal_and it is that of each distance.
+    sample_id
+        Identity of each row [n], all different, see `accept_max_rank`.
+    rng
+        Generator of the keys that break ties.
+    """
+    reduced = reduce_distances(distances, rule)
+    if rule == "marginal_and":
+        return _accept_marginal(reduced, fraction)
+    result = accept_max_rank(reduced, fraction, sample_id, rng)
+    return Acceptance(result.accepted, result.max_rank, fraction, result.n_tied, result.implied_quantile, rule)
+
+
+def reduce_distances(distances: FloatArray, rule: str) -> FloatArray:
+    """The distances that `rule` cuts on [n_cut, n]: all, one alone, or their scaled sum.
+
+    Raises
+    ------
+    ValueError
+        For an unknown rule, or for scaled_sum if more than half of the samples share a distance: its scale is
+        then 0.
+    """
+    if distances.ndim != 2 or distances.shape[0] < 1:
+        raise ValueError(f"distances must be [n_kinds, n], got shape {distances.shape}")
+    if rule in ("max_rank", "marginal_and"):
+        return distances
+    if rule in KINDS:
+        if distances.shape[0] != len(KINDS):
+            raise ValueError(f"rule {rule!r} needs the distances {KINDS}, got {distances.shape[0]}")
+        return distances[KINDS.index(rule)][None]
+    if rule != "scaled_sum":
+        raise ValueError(f"unknown rule {rule!r}; abc.acceptance is one of {', '.join(RULES)}")
+    _refuse_infinite(distances)
+    scale = np.asarray(median_abs_deviation(distances, axis=1))
+    if not (scale > 0.0).all():
+        raise ValueError(
+            f"the median absolute deviation of distance {int(np.argmin(scale))} is 0: more than half of the "
+            "samples share it, so that abc.acceptance: scaled_sum is undefined; use max_rank"
+        )
+    return (distances / scale[:, None]).sum(axis=0, keepdims=True)
+
+
+def _accept_marginal(distances: FloatArray, fraction: float) -> Acceptance:
+    """Rows of which every distance is among the k smallest of its kind, ties included."""
+    score = max_rank(distances)
+    k = number_accepted(score.size, fraction)
+    cut = np.partition(distances, k - 1, axis=1)[:, k - 1, None]  # the k-th smallest
+    below = distances <= cut
+    accepted: BoolArray = np.asarray(below.all(axis=0))
+    n_tied = int((below.sum(axis=1) - k).max())
+    implied = int(score[accepted].max()) / score.size if accepted.any() else fraction
+    return Acceptance(accepted, score, fraction, n_tied, implied, "marginal_and")
+
+
+def _refuse_infinite(distances: FloatArray) -> None:
+    if not np.isfinite(distances).all():
+        raise ValueError(
+            f"{int((~np.isfinite(distances).all(axis=0)).sum())} of {distances.shape[1]} rows have a "
+            "distance that is not finite; leave failed samples out of the table"
+        )
 
 
 def number_accepted(n: int, fraction: float) -> int:
@@ -81,11 +174,7 @@ def max_rank(distances: FloatArray) -> IntArray:
     """
     if distances.ndim != 2 or distances.shape[0] < 1:
         raise ValueError(f"distances must be [n_kinds, n], got shape {distances.shape}")
-    if not np.isfinite(distances).all():
-        raise ValueError(
-            f"{int((~np.isfinite(distances).all(axis=0)).sum())} of {distances.shape[1]} rows have a "
-            "distance that is not finite; leave failed samples out of the table"
-        )
+    _refuse_infinite(distances)
     return rankdata(distances, method="max", axis=1).astype(np.int64).max(axis=0)
 
 

@@ -6,16 +6,29 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import rankdata
 
-from warmlens.inference.acceptance import Acceptance, max_rank, number_accepted, order_by_id
+from warmlens.inference.acceptance import Acceptance, order_by_id
+from warmlens.inference.bootstrap import bootstrap_counts, quantiles_of_counts, reached
 from warmlens.types import FloatArray, IntArray
 
 LEVELS = {"q05": 0.05, "q0455": 0.0455, "q02275": 0.02275}
 HEADLINE = "q0455"
 MIN_ACCEPTED = 50
 MIN_BELOW_BOUND = 3.0
-BATCH_ELEMENTS = 500_000
+
+
+class TooFewError(ValueError):
+    """An estimate that rests on too few samples to be quoted.
+
+    Attributes
+    ----------
+    estimate
+        What it would have been.
+    """
+
+    def __init__(self, message: str, estimate: float) -> None:
+        super().__init__(message)
+        self.estimate = estimate
 
 
 @dataclass(frozen=True)
@@ -75,12 +88,7 @@ def weighted_quantile(values: FloatArray, weights: FloatArray, levels: npt.Array
         raise ValueError(f"levels must lie in (0, 1], got {levels!r}")
     order = np.argsort(values, kind="stable")
     cumulative = np.cumsum(weights[order])
-    return values[order][np.searchsorted(cumulative, _reached(level) * cumulative[-1])]
-
-
-def _reached(level: FloatArray) -> FloatArray:
-    """A level less the rounding of a cumulative sum, so that 5 of 100 equal weights do reach 0.05."""
-    return level * (1.0 - 1e-12)
+    return values[order][np.searchsorted(cumulative, reached(level) * cumulative[-1])]
 
 
 def uniform_prior_bound(low_kev: float, high_kev: float, level: float) -> float:
@@ -102,6 +110,7 @@ def lower_bounds(
     rng: np.random.Generator,
     weights: FloatArray | None = None,
     n_bootstrap: int = 1000,
+    counts: npt.NDArray[np.uint16] | None = None,
 ) -> dict[str, Bound]:
     """Bounds at every level of `LEVELS`.
 
@@ -110,9 +119,9 @@ def lower_bounds(
     m_kev
         Thermal relic mass of each sample [keV], [n].
     acceptance
-        From `accept_max_rank` on the same rows.
+        From `accept` on the same rows; its rule and fraction are those of the bootstrap too.
     distances
-        The distances that it used, [n_kinds, n].
+        The distances that it was given, [n_kinds, n].
     sample_id
         Identity of each row [n], all different; makes the result independent of the order of the rows.
     prior_range_kev
@@ -123,8 +132,16 @@ def lower_bounds(
         Prior weights of the samples [n]; all equal unless given.
     n_bootstrap
         Number of bootstrapped tables.
+    counts
+        From `bootstrap_counts` with these distances, rows in ascending order of their identity [n_bootstrap, n];
+        made here unless given.
 
-    Reference: docs/decisions.md, "Summaries and inference".
+    Raises
+    ------
+    TooFewError
+        If the rule marginal_and leaves fewer than `MIN_ACCEPTED` samples.
+
+    Reference: docs/inference.md.
     """
     if not acceptance.n == m_kev.size == distances.shape[1]:
         raise ValueError(
@@ -137,16 +154,24 @@ def lower_bounds(
     weight = np.ones(m_kev.size) if weights is None else weights
     levels = np.array(list(LEVELS.values()))
     accepted = acceptance.accepted
+    if not accepted.any():
+        raise TooFewError(f"the rule {acceptance.rule} accepts none of {acceptance.n} samples", np.nan)
     values = weighted_quantile(m_kev[accepted], weight[accepted], levels)
+    if acceptance.rule == "marginal_and" and acceptance.k < MIN_ACCEPTED:
+        raise TooFewError(
+            f"abc.acceptance: marginal_and leaves {acceptance.k} of {acceptance.n} samples, at least "
+            f"{MIN_ACCEPTED} are needed for a bound; raise abc.fraction = {acceptance.fraction:g} or use max_rank",
+            float(values[list(LEVELS).index(HEADLINE)]),
+        )
     ess = effective_sample_size(weight[accepted])
     if weights is None:
         prior_only = np.array([uniform_prior_bound(low, high, level) for level in levels])
     else:
         prior_only = weighted_quantile(m_kev, weights, levels)
     order = order_by_id(sample_id, m_kev.size)
-    replicates = bootstrap_bounds(
-        m_kev[order], distances[:, order], acceptance.fraction, levels, n_bootstrap, rng, weight[order]
-    )
+    if counts is None:
+        counts = bootstrap_counts(distances[:, order], acceptance.rule, [acceptance.fraction], n_bootstrap, rng)[0]
+    replicates = quantiles_of_counts(m_kev[order], counts, levels, weight[order])
     errors = replicates.std(axis=0, ddof=1)
     return {
         name: Bound(
@@ -162,78 +187,6 @@ def lower_bounds(
         )
         for i, (name, level) in enumerate(LEVELS.items())
     }
-
-
-def bootstrap_bounds(
-    m_kev: FloatArray,
-    distances: FloatArray,
-    fraction: float,
-    levels: FloatArray,
-    n_bootstrap: int,
-    rng: np.random.Generator,
-    weights: FloatArray,
-) -> FloatArray:
-    """Bounds of tables whose whole rows are drawn with replacement *before* the acceptance.
-
-    Parameters
-    ----------
-    m_kev, weights
-        Each [n].
-    distances
-        [n_kinds, n].
-    fraction
-        Accepted fraction, of each table anew.
-    levels
-        [n_levels].
-    n_bootstrap
-        Number of tables, >= 2.
-    rng
-        Generator; the result depends on the order of the rows, see `lower_bounds`.
-
-    Returns
-    -------
-    bounds
-        [n_bootstrap, n_levels] [keV].
-
-    Notes
-    -----
-    A table is the number of times that each row occurs. Ranks are then cumulative sums of these numbers along
-    the rows sorted once by each distance, so that all tables of a batch are handled at once.
-    """
-    if n_bootstrap < 2:
-        raise ValueError(f"n_bootstrap must be >= 2, got {n_bootstrap}")
-    n = m_kev.size
-    k = number_accepted(n, fraction)
-    by_mass = np.argsort(m_kev, kind="stable")  # ascending mass from here on: the quantile is then one sum
-    m_kev, distances, weights = m_kev[by_mass], distances[:, by_mass], weights[by_mass]
-    max_rank(distances)  # refuses what has no rank
-    by_distance = np.argsort(distances, axis=1, kind="stable")
-    last_as_close = rankdata(distances, method="max", axis=1).astype(np.int64) - 1  # [n_kinds, n]
-    bounds = np.empty((n_bootstrap, levels.size))
-    batch = max(1, BATCH_ELEMENTS // n)
-    for start in range(0, n_bootstrap, batch):
-        size = min(batch, n_bootstrap - start)
-        times = rng.multinomial(n, np.full(n, 1.0 / n), size=size)  # [size, n]
-        score = np.zeros((size, n))
-        for order, last in zip(by_distance, last_as_close, strict=True):
-            rank = np.cumsum(times[:, order], axis=1)[:, last]  # rows of the table as close or closer
-            np.maximum(score, rank, out=score)
-        score += rng.random((size, n))  # breaks ties: scores are whole numbers
-        best = np.argsort(score, axis=1)
-        times_best = np.take_along_axis(times, best, axis=1)
-        before = np.cumsum(times_best, axis=1) - times_best
-        taken = np.empty((size, n), dtype=np.int64)
-        np.put_along_axis(taken, best, np.clip(k - before, 0, times_best), axis=1)
-        cumulative = np.cumsum(taken * weights, axis=1)
-        empty = int((cumulative[:, -1] <= 0.0).sum())
-        if empty:
-            raise ValueError(
-                f"the weights leave nothing of the accepted samples in {empty} of {size} bootstrapped "
-                "tables; this prior is not covered by the samples"
-            )
-        for i, level in enumerate(_reached(levels)):
-            bounds[start : start + size, i] = m_kev[np.argmax(cumulative >= level * cumulative[:, -1:], axis=1)]
-    return bounds
 
 
 def _warnings(level: float, value: float, error: float, prior_only: float, k: int, ess: float) -> tuple[str, ...]:

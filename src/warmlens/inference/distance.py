@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.distance import cdist
 
 from warmlens.types import FloatArray
 
@@ -58,3 +59,57 @@ def _integrated_squared_difference(
                 "samples out of the table"
             )
     return np.asarray(np.trapezoid((first - second) ** 2, grid, axis=-1))  # D = int (C1 - C2)^2 d(dr)
+
+
+def integral_features(grid: FloatArray, values: FloatArray) -> FloatArray:
+    """Points whose squared Euclidean distance is the integral of the squared difference by the trapezoid rule.
+
+    Parameters
+    ----------
+    grid
+        Ascending [n_grid].
+    values
+        Summaries on the grid [..., n_grid]; the result has that shape.
+    """
+    return values * np.sqrt(np.trapezoid(np.eye(grid.size), grid, axis=1))
+
+
+def squared_distances(first: FloatArray, second: FloatArray) -> FloatArray:
+    """Squared Euclidean distance of every point of [n, p] to every point of [m, p], [n, m]."""
+    return cdist(first, second, "sqeuclidean")
+
+
+def ledoit_wolf(rows: FloatArray) -> tuple[FloatArray, float]:
+    """Covariance of rows [n, p], shrunk towards a multiple of the unit matrix; with the intensity in [0, 1].
+
+    Reference: Ledoit & Wolf 2004, J. Multivariate Anal. 88, 365, eqs. 14-15.
+    """
+    n, p = rows.shape
+    centred = rows - rows.mean(axis=0)
+    sample = centred.T @ centred / n
+    mean = np.trace(sample) / p
+    spread = np.square(sample - mean * np.eye(p)).sum()  # d^2 p
+    if spread == 0.0:
+        return sample, 1.0
+    error = (np.square(np.square(centred).sum(axis=1)).sum() / n - np.square(sample).sum()) / n  # b^2 p
+    shrinkage = float(np.clip(error / spread, 0.0, 1.0))
+    return (1.0 - shrinkage) * sample + shrinkage * mean * np.eye(p), shrinkage
+
+
+def whitened_features(rows: FloatArray, observed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Rows [n, p] and observed [p] in coordinates whose covariance over the rows, Ledoit-Wolf shrunk, is 1.
+
+    Columns that are the same in every row and in the observation carry nothing and are left out; one that only
+    the observation breaks is kept, and the shrinkage sets its scale.
+    """
+    varying = (np.ptp(rows, axis=0) > 0.0) | (observed != rows[0])
+    if not np.ptp(rows, axis=0).any():
+        return rows, observed
+    rows, observed = rows[:, varying], observed[varying]
+    scale = rows.std(axis=0)
+    scale[scale == 0.0] = scale[scale > 0.0].min()
+    covariance, _ = ledoit_wolf(rows / scale)
+    values, vectors = np.linalg.eigh(covariance)
+    values = np.maximum(values, 1e-10 * values[-1])
+    transform = vectors / np.sqrt(values) / scale[:, None]
+    return rows @ transform, observed @ transform

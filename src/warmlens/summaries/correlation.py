@@ -121,15 +121,27 @@ def correlation_function(delta_r: FloatArray, geometry: PairGeometry, threshold:
     Reference: Birrer+2017 sec. 4.2.
     """
     r = excess_residuals(delta_r, geometry.valid, threshold)
-    flat = r.reshape(-1, *geometry.valid.shape)
+    sums = np.maximum(lagged_sums(r, geometry), 0.0)  # products of two R <= 0: what is negative is rounding
+    return sums / geometry.counts  # C(dr) = <R(r) R(r + dr)>_r
+
+
+def lagged_sums(maps: FloatArray, geometry: PairGeometry) -> FloatArray:
+    """Sum of the products over the pairs of each bin, [..., n_dr].
+
+    Parameters
+    ----------
+    maps
+        [..., ny, nx], finite, 0 where a position takes no part.
+    geometry
+        The pairs.
+    """
+    flat = maps.reshape(-1, *geometry.valid.shape)
     result = np.empty((flat.shape[0], geometry.counts.size))
     batch = max(1, BATCH_ELEMENTS // geometry.valid.size)
     for start in range(0, flat.shape[0], batch):
         lagged = _autocorrelation(flat[start : start + batch], geometry.lag_rows, geometry.lag_columns)
-        lagged = np.maximum(lagged, 0.0)  # products of two R <= 0: what is negative is rounding
-        sums = np.add.reduceat(lagged, geometry.bin_starts, axis=1)
-        result[start : start + batch] = sums / geometry.counts  # C(dr) = <R(r) R(r + dr)>_r
-    return result.reshape(*r.shape[:-2], geometry.counts.size)
+        result[start : start + batch] = np.add.reduceat(lagged, geometry.bin_starts, axis=1)
+    return result.reshape(*maps.shape[:-2], geometry.counts.size)
 
 
 def excess_residuals(delta_r: FloatArray, valid: BoolArray, threshold: float = THRESHOLD) -> FloatArray:

@@ -1,0 +1,311 @@
+"""All of the inference on one table: bound, companions, calibration, checks; each with its error and warnings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from warmlens.inference.acceptance import RULES, Acceptance, accept, order_by_id, reduce_distances
+from warmlens.inference.adjustment import adjust
+from warmlens.inference.bootstrap import Counts
+from warmlens.inference.bound import HEADLINE, LEVELS, Bound, TooFewError, lower_bounds, weighted_quantile
+from warmlens.inference.calibration import (
+    MIN_KS_P,
+    MIN_ROWS,
+    Coverage,
+    ExpectedLimit,
+    LeaveOneOut,
+    RankTest,
+    coverage,
+    coverage_by_mass,
+    expected_limit,
+    leave_one_out,
+    rank_test,
+)
+from warmlens.inference.checks import CloudCheck, cloud_check
+from warmlens.inference.convergence import CONVERGED, Convergence, threshold_convergence
+from warmlens.inference.information import Information, information
+from warmlens.inference.likelihood import RATIOS, Crossing, LikelihoodRatio, likelihood_ratio
+from warmlens.inference.priors import reweightings
+from warmlens.inference.table import Table
+from warmlens.types import FloatArray
+
+HEAD = list(LEVELS).index(HEADLINE)
+MIN_TABLE = 100
+Streams = Callable[[str], np.random.Generator]
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Coverage and rank tests of one version of the bound.
+
+    Attributes
+    ----------
+    overall
+        Coverage at every level of `LEVELS`.
+    by_mass
+        Coverage of the headline by the true mass.
+    ranks
+        Of m_kev and of log10_mass.
+    passed
+        Nominal coverage of the headline within its interval, and flat ranks of m_kev.
+    """
+
+    overall: dict[str, Coverage]
+    by_mass: dict[str, Coverage]
+    ranks: dict[str, RankTest]
+    passed: bool
+
+
+@dataclass(frozen=True)
+class Adjusted:
+    """The regression adjustment of the observation.
+
+    Attributes
+    ----------
+    bounds_kev, mc_errors_kev
+        At every level of `LEVELS` [keV].
+    values, weights
+        Adjusted parameters [k, 2] and weights [k] of the accepted samples.
+    n_components
+        Components of the summaries that it was regressed on.
+    valid
+        Whether its own calibration passed on at least `MIN_ROWS` rows; not to be quoted otherwise.
+    """
+
+    bounds_kev: dict[str, float]
+    mc_errors_kev: dict[str, float]
+    values: FloatArray
+    weights: FloatArray
+    n_components: int
+    valid: bool
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What one table says; attributes are results of the modules beside this one.
+
+    Attributes
+    ----------
+    other_rules, other_priors
+        The headline under the other rules and priors; the text of the refusal where there is none.
+    n_rows
+        Rows that played the observation.
+    adjusted, adjusted_calibration
+        None, and the reason in `no_adjustment`, if too few samples are accepted.
+    warnings
+        All that a reader of the headline has to know, loudest first.
+    """
+
+    acceptance: Acceptance
+    distances: FloatArray
+    bounds: dict[str, Bound]
+    counts: Counts
+    other_rules: dict[str, Bound | str]
+    other_priors: dict[str, Bound | str]
+    likelihood: LikelihoodRatio
+    crossings: dict[str, Crossing]
+    convergence: Convergence
+    cloud: CloudCheck
+    trials: LeaveOneOut
+    calibration: Calibration
+    expected: ExpectedLimit | None
+    gain: Information
+    adjusted: Adjusted | None
+    adjusted_calibration: Calibration | None
+    no_adjustment: str
+    warnings: tuple[str, ...] = field(default=())
+
+    @property
+    def n_rows(self) -> int:
+        """Rows of the table that played the observation."""
+        return self.trials.rows.size
+
+
+def analyse(table: Table, rule: str, fraction: float, n_bootstrap: int, n_rows: int, streams: Streams) -> Analysis:
+    """Run everything.
+
+    Parameters
+    ----------
+    table
+        Samples, summaries, observation.
+    rule, fraction
+        Of the acceptance.
+    n_bootstrap
+        Bootstrapped tables.
+    n_rows
+        Rows for leave-one-out.
+    streams
+        A generator for each name.
+
+    Raises
+    ------
+    TooFewError
+        If the rule leaves too few samples for a bound.
+    """
+    distances = table.distances()
+    accepted = accept(distances, rule, fraction, table.sample_id, streams("ties"))
+    if rule == "marginal_and":  # refuses before anything else is done
+        _bounds(table, accepted, distances, streams("refusal"), 2)
+    levels = np.array(list(LEVELS.values()))
+    convergence, counts = threshold_convergence(
+        table, rule, fraction, levels, HEAD, n_bootstrap, streams("bootstrap")
+    )
+    bounds = _bounds(table, accepted, distances, streams("bounds"), n_bootstrap, counts)
+    likelihood = likelihood_ratio(table.m_kev, accepted.accepted, counts, table.m_range_kev)
+    trials = leave_one_out(table, rule, fraction, n_rows, streams("leave_one_out"), with_adjustment=True)
+    test = streams("rank_tests")
+    calibration = _calibration(trials.bounds, trials.pit, trials.truth, test)
+    adjusted_calibration = None
+    if trials.adjusted_bounds is not None and trials.adjusted_pit is not None:
+        adjusted_calibration = _calibration(trials.adjusted_bounds, trials.adjusted_pit, trials.truth, test)
+    adjusted, reason = _adjusted(table, accepted, distances, convergence, adjusted_calibration, trials.rows.size)
+    analysis = Analysis(
+        acceptance=accepted,
+        distances=distances,
+        bounds=bounds,
+        counts=counts,
+        other_rules=_other_rules(table, rule, fraction, distances, n_bootstrap, streams),
+        other_priors=_other_priors(table, accepted, distances, counts, streams),
+        likelihood=likelihood,
+        crossings={f"1/{round(1 / ratio)}": likelihood.falls_to(ratio) for ratio in RATIOS},
+        convergence=convergence,
+        cloud=cloud_check(table),
+        trials=trials,
+        calibration=calibration,
+        expected=expected_limit(
+            trials.bounds[:, HEAD], trials.truth[:, 0], bounds[HEADLINE].value_kev, streams("expected")
+        ),
+        gain=information(table.m_kev, table.m_range_kev, trials, streams("information")),
+        adjusted=adjusted,
+        adjusted_calibration=adjusted_calibration,
+        no_adjustment=reason,
+    )
+    return Analysis(**{**analysis.__dict__, "warnings": tuple(_warnings(table, analysis))})
+
+
+def _bounds(
+    table: Table,
+    accepted: Acceptance,
+    distances: FloatArray,
+    rng: np.random.Generator,
+    n_bootstrap: int,
+    counts: Counts | None = None,
+    weights: FloatArray | None = None,
+) -> dict[str, Bound]:
+    return lower_bounds(
+        table.m_kev,
+        accepted,
+        distances,
+        table.sample_id,
+        table.m_range_kev,
+        rng,
+        weights,
+        n_bootstrap,
+        None if counts is None else counts[:, order_by_id(table.sample_id, table.n)],
+    )
+
+
+def _other_rules(
+    table: Table, rule: str, fraction: float, distances: FloatArray, n_bootstrap: int, streams: Streams
+) -> dict[str, Bound | str]:
+    """Headline under every other rule."""
+    found: dict[str, Bound | str] = {}
+    for other in RULES:
+        if other == rule:
+            continue
+        try:
+            accepted = accept(distances, other, fraction, table.sample_id, streams("ties"))
+            found[other] = _bounds(table, accepted, distances, streams(f"rules/{other}"), n_bootstrap)[HEADLINE]
+        except ValueError as error:  # too few samples, or a rule that is undefined on this table
+            found[other] = str(error)
+    return found
+
+
+def _other_priors(
+    table: Table, accepted: Acceptance, distances: FloatArray, counts: Counts, streams: Streams
+) -> dict[str, Bound | str]:
+    """Headline under every prior, with the warnings of the re-weighting."""
+    found: dict[str, Bound | str] = {}
+    for name, prior in reweightings(table).items():
+        try:
+            bound = _bounds(table, accepted, distances, streams("priors"), 2, counts, prior.weights)[HEADLINE]
+        except ValueError as error:  # the samples do not cover this prior
+            found[name] = "; ".join((*prior.warnings, str(error)))
+            continue
+        found[name] = Bound(**{**bound.__dict__, "warnings": prior.warnings + bound.warnings})
+    return found
+
+
+def _calibration(bounds: FloatArray, pit: FloatArray, truth: FloatArray, rng: np.random.Generator) -> Calibration:
+    overall = {name: coverage(bounds[:, i], truth[:, 0], level) for i, (name, level) in enumerate(LEVELS.items())}
+    ranks = {name: rank_test(pit[:, i], rng) for i, name in enumerate(("m_th_kev", "log10_m_halo_msun"))}
+    passed = overall[HEADLINE].nominal_inside and ranks["m_th_kev"].ks_p > MIN_KS_P
+    by_mass = coverage_by_mass(bounds[:, HEAD], truth[:, 0], LEVELS[HEADLINE])
+    return Calibration(overall, by_mass, ranks, passed)
+
+
+def _adjusted(
+    table: Table,
+    accepted: Acceptance,
+    distances: FloatArray,
+    convergence: Convergence,
+    calibration: Calibration | None,
+    n_rows: int,
+) -> tuple[Adjusted | None, str]:
+    """The adjustment of the observation, or why there is none."""
+    try:
+        moved = adjust(
+            table.parameters,
+            table.ranges,
+            table.stacked(),
+            np.concatenate(table.observed),
+            reduce_distances(distances, accepted.rule),
+            accepted.accepted,
+        )
+    except TooFewError as error:
+        return None, str(error)
+    values = weighted_quantile(moved.values[:, 0], moved.weights, list(LEVELS.values()))
+    replicates = convergence.adjusted_replicates
+    errors = np.full(len(LEVELS), np.nan) if replicates is None else replicates.std(axis=0, ddof=1)
+    valid = calibration is not None and calibration.passed and n_rows >= MIN_ROWS
+    adjusted = Adjusted(
+        dict(zip(LEVELS, map(float, values), strict=True)),
+        dict(zip(LEVELS, map(float, errors), strict=True)),
+        moved.values,
+        moved.weights,
+        moved.n_components,
+        valid,
+    )
+    return adjusted, ""
+
+
+def _warnings(table: Table, found: Analysis) -> list[str]:
+    """What to know before quoting the headline, loudest first."""
+    warnings = list(found.cloud.warnings)
+    warnings += found.bounds[HEADLINE].warnings
+    if table.n < MIN_TABLE:
+        warnings.append(f"the table has {table.n} samples only (fewer than {MIN_TABLE})")
+    if np.ptp(table.log10_mass) == 0.0:
+        warnings.append(f"all samples have the halo mass 10^{table.log10_mass[0]:g} Msun: nothing is marginalised")
+    covered = found.calibration.overall[HEADLINE]
+    if covered.n < MIN_ROWS:
+        warnings.append(f"calibrated on {covered.n} rows only (fewer than {MIN_ROWS})")
+    if not covered.nominal_inside:
+        side = "too seldom: the bound is too strong" if covered.high < covered.nominal else "too often: it is weak"
+        warnings.append(
+            f"coverage of the bound is {covered.fraction:.1%} [{covered.low:.1%}, {covered.high:.1%}] instead of "
+            f"{covered.nominal:.1%}; the truth lies above it {side}"
+        )
+    for name, ranks in found.calibration.ranks.items():
+        if ranks.ks_p <= MIN_KS_P:
+            warnings.append(
+                f"ranks of {name} are not uniform (KS p = {ranks.ks_p:.1g}): the posterior is miscalibrated"
+            )
+    if found.convergence.raw != CONVERGED:
+        warnings.append(f"threshold convergence of the bound: {found.convergence.raw}")
+    if found.acceptance.n_tied:
+        warnings.append(f"{found.acceptance.n_tied} samples tie at the acceptance threshold; a seeded key decided")
+    return warnings

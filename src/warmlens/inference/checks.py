@@ -1,0 +1,106 @@
+"""Is the observation like the simulations, and are the accepted samples like the observation?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warmlens.inference.acceptance import KINDS
+from warmlens.inference.table import Table
+from warmlens.types import BoolArray, FloatArray
+
+MAX_PERCENTILE = 95.0
+BATCH = 500
+MAX_ROWS = 3000
+PREDICTIVE_LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
+
+
+@dataclass(frozen=True)
+class CloudCheck:
+    """Distance of the observation to its nearest sample, among the same distances of the samples themselves.
+
+    Attributes
+    ----------
+    percentile
+        For each kind of summary: percentage of samples whose nearest other sample is closer, ties counted half.
+    warnings
+        Loud ones, for kinds above `MAX_PERCENTILE`; also kinds that cannot tell samples apart.
+    """
+
+    percentile: dict[str, float]
+    warnings: tuple[str, ...]
+
+
+def cloud_check(table: Table, names: tuple[str, ...] = KINDS) -> CloudCheck:
+    """Compare the observation's nearest-neighbour distance with those of up to `MAX_ROWS` samples."""
+    chosen = np.unique(np.linspace(0, table.n - 1, min(table.n, MAX_ROWS)).astype(np.int64))
+    found = []
+    for start in range(0, chosen.size, BATCH):
+        rows = chosen[start : start + BATCH]
+        between = table.distances_between(rows)
+        between[:, np.arange(rows.size), rows] = np.inf
+        found.append(between.min(axis=2))
+    nearest = np.concatenate(found, axis=1)
+    distances = table.distances()
+    percentile, warnings = {}, []
+    for name, own, others, every in zip(names, distances.min(axis=1), nearest, distances, strict=True):
+        value = 100.0 * float(np.mean(others < own) + 0.5 * np.mean(others == own))
+        percentile[name] = value
+        if value > MAX_PERCENTILE:
+            warnings.append(
+                f"THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in {name}: it is farther from its nearest sample "
+                f"than {value:.1f}% of the samples are from theirs; no bound from this table can be trusted"
+            )
+        if np.ptp(every) == 0.0:
+            warnings.append(f"all samples have the same distance in {name}: it tells nothing about them")
+    return CloudCheck(percentile, tuple(warnings))
+
+
+@dataclass(frozen=True)
+class Predictive:
+    """Summaries of the accepted samples against the observed one.
+
+    Attributes
+    ----------
+    levels
+        [n_levels].
+    quantiles
+        Of the accepted samples at each point of the summary [n_levels, n_points].
+    observed
+        [n_points].
+    p_value
+        Fraction of the accepted samples whose mean distance from the other accepted ones exceeds that of the
+        observation: small if the observation stands apart from all of them.
+    """
+
+    levels: FloatArray
+    quantiles: FloatArray
+    observed: FloatArray
+    p_value: float
+
+
+def posterior_predictive(values: FloatArray, observed: FloatArray, accepted: BoolArray) -> Predictive:
+    """Posterior predictive distribution of one summary.
+
+    Parameters
+    ----------
+    values
+        Summary of every sample [n, n_points].
+    observed
+        [n_points].
+    accepted
+        [n].
+    """
+    chosen = values[accepted]
+    levels = np.array(PREDICTIVE_LEVELS)
+    scale = chosen.std(axis=0)
+    used = (scale > 0.0) | (observed != chosen[0])
+    scale = np.where(scale > 0.0, scale, 1.0)
+    centre = chosen.mean(axis=0)
+    k = len(chosen)
+    # a sample against the mean of the other k - 1
+    own = np.square(((chosen - centre) * k / max(k - 1, 1) / scale)[:, used]).sum(axis=1)
+    seen = np.square(((observed - centre) / scale)[used]).sum()
+    p_value = float((1 + (own >= seen).sum()) / (k + 1))
+    return Predictive(levels, np.quantile(chosen, levels, axis=0), observed, p_value)

@@ -1,0 +1,67 @@
+"""How much a summary set tells about the relic mass: information over the prior, and the expected bound."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warmlens.inference.bound import HEADLINE, LEVELS
+from warmlens.inference.calibration import CDM_LIKE_KEV, LeaveOneOut
+from warmlens.inference.table import Range
+from warmlens.types import BoolArray, FloatArray
+
+N_BINS = 8
+
+
+@dataclass(frozen=True)
+class Information:
+    """What a summary set is worth, over pseudo-observations from the prior.
+
+    Attributes
+    ----------
+    n
+        Pseudo-observations.
+    gain_nats, gain_error_nats
+        Mean Kullback-Leibler divergence of the posterior of m from the prior, and its error [nat].
+    expected_bound_kev, expected_bound_error_kev
+        Median bound of truths above `CDM_LIKE_KEV`, and its error [keV]; NaN below 10 of them.
+    """
+
+    n: int
+    gain_nats: float
+    gain_error_nats: float
+    expected_bound_kev: float
+    expected_bound_error_kev: float
+
+
+def divergences(m_kev: FloatArray, accepted: BoolArray, m_range_kev: Range, n_bins: int = N_BINS) -> FloatArray:
+    """KL divergence from the uniform prior of the accepted masses, of each of [n_rows, n] selections [nat].
+
+    Entropy of a histogram of `n_bins` equal bins with the bias correction of Miller (1955), (bins - 1) / 2k:
+    without information the mean is 0, single values may be below.
+    """
+    edges = np.linspace(*m_range_kev, n_bins + 1)
+    bins = np.clip(np.searchsorted(edges, m_kev, side="right") - 1, 0, n_bins - 1)
+    counts = accepted.astype(np.float64) @ np.eye(n_bins)[bins]
+    k = counts.sum(axis=1, keepdims=True)
+    p = counts / k
+    entropy = -np.sum(p * np.log(np.where(p > 0.0, p, 1.0)), axis=1)
+    return np.log(n_bins) - entropy - 0.5 * (n_bins - 1) / k[:, 0]
+
+
+def information(
+    m_kev: FloatArray, m_range_kev: Range, trials: LeaveOneOut, rng: np.random.Generator
+) -> Information:
+    """Information gain and expected bound from leave-one-out trials on one table."""
+    some = trials.accepted.any(axis=1)
+    gains = divergences(m_kev, trials.accepted[some], m_range_kev)
+    bounds = trials.bounds[some, list(LEVELS).index(HEADLINE)]
+    cold = bounds[trials.truth[some, 0] > CDM_LIKE_KEV]
+    median = error = np.nan
+    if cold.size >= 10:
+        median = float(np.median(cold))
+        error = float(np.median(rng.choice(cold, (500, cold.size)), axis=1).std(ddof=1))
+    return Information(
+        gains.size, float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(gains.size)), median, error
+    )

@@ -1,0 +1,93 @@
+"""The table that all inference works on: parameters, and summaries as points whose distance is D."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warmlens.inference.distance import squared_distances
+from warmlens.types import FloatArray, IntArray
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Table:
+    """n samples from a uniform prior, their summaries, and those of the observation.
+
+    Attributes
+    ----------
+    sample_id
+        Identity of each row [n], ascending and all different.
+    m_kev, log10_mass
+        Thermal relic mass [keV] and log10 of the halo mass [Msun], each [n].
+    m_range_kev, log10_mass_range
+        Edges of the uniform prior.
+    features
+        For each kind of summary [n, n_features]: points whose squared Euclidean distance is the distance D of
+        that kind (`distance.integral_features`), kinds in the order of `acceptance.KINDS`.
+    observed
+        For each kind the point of the observation [n_features].
+    """
+
+    sample_id: IntArray
+    m_kev: FloatArray
+    log10_mass: FloatArray
+    m_range_kev: Range
+    log10_mass_range: Range
+    features: tuple[FloatArray, ...]
+    observed: tuple[FloatArray, ...]
+
+    def __post_init__(self) -> None:
+        n = self.sample_id.size
+        if not (np.diff(self.sample_id) > 0).all():
+            raise ValueError("sample_id must be ascending without repeats")
+        for name, values, (low, high) in (
+            ("m_kev", self.m_kev, self.m_range_kev),
+            ("log10_mass", self.log10_mass, self.log10_mass_range),
+        ):
+            if values.shape != (n,):
+                raise ValueError(f"{name} has shape {values.shape}, expected ({n},)")
+            if not (low < high and values.min() >= low and values.max() <= high):
+                raise ValueError(
+                    f"{name} from {values.min()} to {values.max()} leaves the prior [{low}, {high}] or is NaN"
+                )
+        if np.ptp(self.m_kev) == 0.0:
+            raise ValueError(
+                f"all {n} samples have m_kev = {self.m_kev[0]}: no bound can be drawn from them; "
+                "widen dark_matter.m_th_kev"
+            )
+        for kind, (rows, row) in enumerate(zip(self.features, self.observed, strict=True)):
+            if rows.ndim != 2 or rows.shape[0] != n or rows.shape[1:] != row.shape:
+                raise ValueError(f"features of kind {kind} have shapes {rows.shape} and {row.shape}, n = {n}")
+            if not (np.isfinite(rows).all() and np.isfinite(row).all()):
+                raise ValueError(f"features of kind {kind} are not finite; leave failed samples out of the table")
+
+    @property
+    def n(self) -> int:
+        """Number of samples."""
+        return self.sample_id.size
+
+    @property
+    def parameters(self) -> FloatArray:
+        """m_kev and log10_mass of every sample [n, 2]."""
+        return np.column_stack([self.m_kev, self.log10_mass])
+
+    @property
+    def ranges(self) -> tuple[Range, Range]:
+        """Edges of the prior of the columns of `parameters`."""
+        return self.m_range_kev, self.log10_mass_range
+
+    def distances(self) -> FloatArray:
+        """Distance of every sample to the observation [n_kinds, n]."""
+        pairs = zip(self.features, self.observed, strict=True)
+        return np.array([squared_distances(row[None], rows)[0] for rows, row in pairs])
+
+    def distances_between(self, rows: IntArray) -> FloatArray:
+        """Distance of every sample to the samples in `rows` [n_kinds, n_rows, n]."""
+        return np.array([squared_distances(features[rows], features) for features in self.features])
+
+    def stacked(self) -> FloatArray:
+        """All features side by side [n, sum of n_features]."""
+        return np.concatenate(self.features, axis=1)

@@ -1,0 +1,106 @@
+"""Learned summaries: the posterior mean of each parameter, regressed on all summaries.
+
+Reference: Fearnhead & Prangle 2012, JRSS B 74, 419: the posterior mean is the summary that loses least; here it
+is a ridge regression on the table itself, cross-fitted, so that no sample meets a model that was trained on it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from warmlens.types import FloatArray
+
+PENALTIES = np.logspace(-3.0, 5.0, 25)
+N_FOLDS = 10
+MIN_SAMPLES = 50
+
+
+@dataclass(frozen=True)
+class LearnedSummaries:
+    """One learned summary a parameter.
+
+    Attributes
+    ----------
+    samples
+        Prediction for each sample by the models of the other folds [n, n_parameters].
+    observed
+        Mean prediction of all folds' models for the observation [n_parameters].
+    r_squared
+        Cross-validated fraction of the variance that is predicted [n_parameters]; <= 0 if nothing is.
+    penalty
+        Ridge penalty of the standardised summaries that predicts best [n_parameters].
+    """
+
+    samples: FloatArray
+    observed: FloatArray
+    r_squared: FloatArray
+    penalty: FloatArray
+
+
+def learned_summaries(
+    parameters: FloatArray,
+    features: FloatArray,
+    observed: FloatArray,
+    rng: np.random.Generator,
+    n_folds: int = N_FOLDS,
+) -> LearnedSummaries:
+    """Regress every parameter on all summaries.
+
+    Parameters
+    ----------
+    parameters
+        [n, n_parameters].
+    features, observed
+        Summaries of the samples [n, n_features] and of the observation [n_features]. They enter as
+        asinh(x / rms), which tames their tails, standardised.
+    rng
+        Generator of the folds.
+    n_folds
+        Number of folds.
+
+    Raises
+    ------
+    ValueError
+        Below `MIN_SAMPLES` samples.
+    """
+    n = len(parameters)
+    if n < MIN_SAMPLES:
+        raise ValueError(f"learned summaries need {MIN_SAMPLES} samples, there are {n}; raise campaign.n_samples")
+    x, x_observed = _standardised(features, observed)
+    fold = rng.permutation(np.arange(n) % n_folds)
+    predictions = np.empty((PENALTIES.size, *parameters.shape))
+    of_observed = np.zeros((PENALTIES.size, parameters.shape[1]))
+    for i in range(n_folds):
+        train, test = fold != i, fold == i
+        mean_x, mean_y = x[train].mean(axis=0), parameters[train].mean(axis=0)
+        gram = (x[train] - mean_x).T @ (x[train] - mean_x)
+        values, vectors = np.linalg.eigh(gram)
+        projected = vectors.T @ ((x[train] - mean_x).T @ (parameters[train] - mean_y))
+        shrunk = projected / (np.maximum(values, 0.0)[:, None] + PENALTIES[:, None, None])  # [n_penalties, p, n_y]
+        predictions[:, test] = mean_y + (x[test] - mean_x) @ vectors @ shrunk
+        of_observed += (mean_y + (x_observed - mean_x) @ vectors @ shrunk) / n_folds
+    error = np.square(predictions - parameters).mean(axis=1)  # [n_penalties, n_parameters]
+    best = error.argmin(axis=0)
+    column = np.arange(parameters.shape[1])
+    variance = parameters.var(axis=0)
+    return LearnedSummaries(
+        samples=predictions[best, :, column].T,
+        observed=of_observed[best, column],
+        r_squared=1.0 - error[best, column] / np.where(variance > 0.0, variance, 1.0),
+        penalty=PENALTIES[best],
+    )
+
+
+def _standardised(features: FloatArray, observed: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Transformed features with mean 0 and variance 1 over the samples; constant ones are left out."""
+    used = np.ptp(features, axis=0) > 0.0
+    if not used.any():
+        return np.zeros((len(features), 1)), np.zeros(1)
+    rows, row = features[:, used], observed[used]
+    scale = np.sqrt(np.square(rows).mean(axis=0))
+    rows, row = np.arcsinh(rows / scale), np.arcsinh(row / scale)
+    mean, spread = rows.mean(axis=0), rows.std(axis=0)
+    spread = np.where(spread > 0.0, spread, 1.0)
+    return (rows - mean) / spread, (row - mean) / spread
