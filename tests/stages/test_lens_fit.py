@@ -22,7 +22,7 @@ from warmlens.imaging.observation import Band, Observation, checked_band
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, surface_brightness
 from warmlens.lensing.macro_model import deflection, light_images
-from warmlens.stages import smooth_model
+from warmlens.stages import scan_operator, smooth_model
 from warmlens.stages.lens_fit import first_model, fit_lens, outside_cores, solve_given, usable_pixels
 from warmlens.stages.products import observation_datasets, read_observation, read_smooth_model
 from warmlens.stages.settings import stage_settings
@@ -374,3 +374,42 @@ def test_noise_is_the_model_s_or_the_data_s(observed: Observation) -> None:
     before = band_fit(first, first.solve(np.empty(0)), 0, band.sigma, np.ones(GRID.shape, dtype=bool))
     np.testing.assert_allclose(fit.model.bands[0].weights[2:], 1.0 / poisson.sigma(before.model)[2:], rtol=1e-9)
     assert np.abs(fit.model.bands[0].weights[2:] * band.sigma[2:] - 1.0).max() > 0.05
+
+
+def test_macro_columns_are_what_moving_the_lens_does(folder: Path, fitted: Path) -> None:
+    """One sigma along an axis of the error ellipsoid changes the image by that column, and the scan takes them."""
+    model = read_smooth_model(fitted)
+    with open_artifact(fitted, "smooth_model") as artifact:
+        names = [item["name"] for item in artifact.metadata["parameters"]]
+        covariance = artifact.array("parameters/covariance")
+    lens = [i for i, name in enumerate(names) if name.startswith("lens_")]
+    root = np.linalg.cholesky(covariance[np.ix_(lens, lens)])
+    assert model.macro["F814W"].shape == (GRID.ny * GRID.nx, len(lens))
+    derivatives = np.linalg.solve(root.T, model.macro["F814W"].T).T  # per unit of each parameter
+    theta_e = names.index("lens_0.theta_E")
+    shifted = copy.deepcopy(list(model.kwargs_lens))
+    shifted[0]["theta_E"] += 1e-4
+    x, y = GRID.subpixel_coordinates(1)
+    change = deflection(model.lens_models, shifted, x, y) - deflection(model.lens_models, model.kwargs_lens, x, y)
+    at_quasars = deflection(model.lens_models, shifted, *model.quasars.T) - deflection(
+        model.lens_models, model.kwargs_lens, *model.quasars.T
+    )
+    moved = np.array([model.rays.source_x, model.rays.source_y]) - change + at_quasars.mean(axis=1)[:, None, None]
+    source = model.fits["F814W"].source_coefficients
+    images = [
+        surface_brightness(model.sets, source, *rays).mean(axis=-1).reshape(GRID.shape)
+        for rays in (moved, (model.rays.source_x, model.rays.source_y))
+    ]
+    expected = Convolution(model.fits["F814W"].psf, GRID.shape).forward((images[0] - images[1]) / 1e-4)
+    found = derivatives[:, lens.index(theta_e)].reshape(GRID.shape)
+    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+
+    raw = config(smooth_block()).model_dump()
+    raw["scan"] |= {"marginalise_lens": True, "nested": None}
+    settings = stage_settings(parse_config(raw), "scan_design")
+    scan_operator.run_design(settings, folder / "observation.h5", fitted, folder / "design.h5")
+    with open_artifact(folder / "design.h5", "scan_design") as artifact:
+        prior, norms = artifact.array("F814W/prior"), artifact.array("F814W/column_norms")
+    n_free = model.fits["F814W"].n_columns
+    assert prior.size == n_free + len(lens)
+    np.testing.assert_allclose(prior[n_free:], norms[n_free:] ** -2.0)  # unit Gaussian on each amplitude
