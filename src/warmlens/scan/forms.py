@@ -18,36 +18,18 @@ def fill_change(
     pixels: IntArray,
     first: int,
     last: int,
-    change: FloatArray,
+    slope: bool,
+    out: FloatArray,
 ) -> None:
-    """dB of the positions first..last-1, one below the other, into the leading columns of `change`."""
+    """dB, or its slope dB', of the positions first..last-1, one below the other, into the leading columns."""
     base = pixel_offsets[first]
     for position in range(first, last):
         start, stop = pixel_offsets[position], pixel_offsets[position + 1]
         if stop > start:
-            change[start - base : stop - base, : basis.n_coef] = basis_change(
-                basis, positions[position, 0], positions[position, 1], pixels[start:stop]
-            ).T
-
-
-@njit(cache=True)
-def fill_slope(
-    basis: PerturbedBasis,
-    positions: FloatArray,
-    pixel_offsets: IntArray,
-    pixels: IntArray,
-    first: int,
-    last: int,
-    slope: FloatArray,
-) -> None:
-    """dB' of the positions first..last-1, like `fill_change`."""
-    base = pixel_offsets[first]
-    for position in range(first, last):
-        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
-        if stop > start:
-            slope[start - base : stop - base, : basis.n_coef] = basis_response(
-                basis, positions[position, 0], positions[position, 1], pixels[start:stop]
-            ).T
+            x, y = positions[position]
+            moved = pixels[start:stop]
+            change = basis_response(basis, x, y, moved) if slope else basis_change(basis, x, y, moved)
+            out[start - base : stop - base, : basis.n_coef] = change.T
 
 
 @njit(cache=True)

@@ -18,7 +18,7 @@ from warmlens.fitting.linear import LinearModel
 from warmlens.imaging.psf import Convolution
 from warmlens.imaging.shapelets import ShapeletSet
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.forms import fill_change, fill_forms, fill_rows, fill_slope
+from warmlens.scan.forms import fill_change, fill_forms, fill_rows
 from warmlens.scan.nested import NestedShapelets, nested_basis, nested_points
 from warmlens.scan.perturber import Perturber, moved_pixels, perturbed_basis
 from warmlens.types import FloatArray, IntArray
@@ -238,7 +238,7 @@ def build_shard(
     response_noise = np.zeros(positions.shape[0] if response else 0)
     for first, last in _position_blocks(pixel_offsets):
         change = np.zeros((int(pixel_offsets[last] - pixel_offsets[first]), model.design.shape[1]))
-        fill_change(basis, positions, pixel_offsets, pixels, first, last, change)
+        fill_change(basis, positions, pixel_offsets, pixels, first, last, False, change)
         change[:, :n_source] /= model.column_norms[:n_source]  # dB, columns that do not move included
         solved = _triangular_product(model.inverse_factor, change, transposed=False)  # Y^T = dB L^-T
         rows = np.empty((int(sizes[first:last].sum()), model.design.shape[1]))
@@ -251,7 +251,7 @@ def build_shard(
         prior_rows *= np.sqrt(model.prior)
         slopes = np.zeros((change.shape[0] if response else 0, change.shape[1]))
         if response:
-            fill_slope(basis, positions, pixel_offsets, pixels, first, last, slopes)
+            fill_change(basis, positions, pixel_offsets, pixels, first, last, True, slopes)
             slopes[:, :n_source] /= model.column_norms[:n_source]
             slopes = _triangular_product(model.inverse_factor, slopes, transposed=False)  # Y'^T = dB' L^-T
         prior_slopes = (
