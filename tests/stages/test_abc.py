@@ -18,6 +18,7 @@ from warmlens.stages.settings import AbcSettings
 
 N, CHUNK = 60, 20
 DR, THRESHOLDS = np.linspace(0.0, 2.5, 6), np.linspace(-40.0, -4.0, 5)
+SUMMARIES = {"scan": {"statistics": ["delta_r"]}}
 PRIOR = DarkMatterBlock(m_th_kev=(1.0, 5.0), log10_m_halo_msun=(13.0, 13.5))
 
 
@@ -28,6 +29,8 @@ def _summary(m: np.ndarray, correlation: float = 1.0) -> dict[str, Dataset]:
     return {
         "combined/correlation": Dataset(correlation * m[..., None] * np.ones(6), "", (*lead, "separation"), ""),
         "combined/cumulative": Dataset(m[..., None] * np.ones(5), "", (*lead, "threshold"), ""),
+        "combined/n_below": Dataset(np.round(10.0 * m), "", lead, ""),
+        "combined/chi2": Dataset(100.0 + 0.0 * m, "", lead, ""),
         "separation": Dataset(DR, "arcsec", ("separation",), ""),
         "thresholds": Dataset(THRESHOLDS, "", ("threshold",), ""),
     }
@@ -51,10 +54,10 @@ def _campaign(
                 table.status[row], table.message[row], m[row] = FAILED_HERE, "mocks: broken", np.nan
         chunks.append(folder / f"chunk-{start}.h5")
         write_artifact(
-            chunks[-1], Provenance("summaries", {}), {**table.datasets(), **_summary(m, correlation)}, {}
+            chunks[-1], Provenance("summaries", SUMMARIES), {**table.datasets(), **_summary(m, correlation)}, {}
         )
     seen = _summary(np.array(observed), correlation)
-    write_artifact(folder / "observed.h5", Provenance("observed_summary", {}), seen, {})
+    write_artifact(folder / "observed.h5", Provenance("observed_summary", SUMMARIES), seen, {})
     smooth = {"warnings": ["F814W: chi2_red = 3"]}
     write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, smooth)
     return {
@@ -74,8 +77,8 @@ def _block(**changes: object) -> AbcBlock:
 
 def _settings(**changes: object) -> AbcSettings:
     block = _block()
-    empty = settings_digest({})
-    upstream = dict.fromkeys(("summaries", "observed_summary", "smooth_model"), empty)
+    upstream = dict.fromkeys(("summaries", "observed_summary"), settings_digest(SUMMARIES))
+    upstream["smooth_model"] = settings_digest({})
     parts = {"seed": 1, "n_samples": N, "dark_matter": PRIOR, "abc": block, "upstream": upstream}
     return AbcSettings(**{**parts, **changes})
 
@@ -218,13 +221,13 @@ def test_ties_in_everything_say_that_there_is_no_information(tmp_path: Path) -> 
             span, stage = artifact.span, artifact.stage
             arrays = {name: artifact[f"samples/{name}"][...] for name in artifact.file.get("samples", {})}
         if stage == "observed_summary":
-            write_artifact(path, Provenance(stage, {}), _summary(np.array(0.0)), {})
+            write_artifact(path, Provenance(stage, SUMMARIES), _summary(np.array(0.0)), {})
             continue
         table = SampleTable(
             draw_parameters(1, (arrays["sample_id"][0], arrays["sample_id"][-1] + 1), *PRIOR.model_dump().values())
         )
         write_artifact(
-            path, Provenance(stage, {}, span=span), {**table.datasets(), **_summary(np.zeros(CHUNK))}, {}
+            path, Provenance(stage, SUMMARIES, span=span), {**table.datasets(), **_summary(np.zeros(CHUNK))}, {}
         )
     abc.run(_settings(n_samples=300), **campaign)
     text = _warnings(tmp_path)

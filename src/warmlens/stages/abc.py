@@ -44,6 +44,7 @@ from warmlens.types import BoolArray, FloatArray
 
 log = logging.getLogger(__name__)
 
+SHARPER = ("n_below", "chi2", "mean_z2", "amplitude_correlation")  # the last two with the statistic `amplitude`
 _SAMPLES = ("sample_id", "m_th_kev", "log10_m_halo_msun", "status")
 SUMMARY_SET_ROWS = 300  # pseudo-observations for the comparison of summary sets
 
@@ -113,7 +114,7 @@ def run(
         "distance": block.distance,
         "prior": settings.dark_matter.model_dump(mode="json"),
         **numbers(found, predictive, forecasts, warnings),
-        "summary_sets": _summary_sets(settings, samples),
+        "summary_sets": _summary_sets(settings, samples, *_read_sharper(summaries, observed_summary, good)),
     }
     digest = write_artifact(output, provenance, datasets(table, samples, found, predictive), metadata)
     with atomic_path(table_csv) as temporary:
@@ -123,7 +124,9 @@ def run(
         temporary.write_text(json.dumps(whole, indent=2, allow_nan=False) + "\n")
 
 
-def _summary_sets(settings: AbcSettings, samples: Table) -> dict[str, Any]:
+def _summary_sets(
+    settings: AbcSettings, samples: Table, sharper: FloatArray, sharper_observed: FloatArray
+) -> dict[str, Any]:
     """Information and bound of every set of summaries, or why there is none."""
     block = settings.abc
     try:
@@ -133,6 +136,8 @@ def _summary_sets(settings: AbcSettings, samples: Table) -> dict[str, Any]:
             block.bootstrap,
             min(block.leave_one_out, SUMMARY_SET_ROWS),
             lambda name: stream(settings.seed, f"abc/sets/{name}", 0),
+            sharper,
+            sharper_observed,
         )
     except ValueError as error:  # too few samples for learned summaries
         return {"refused": str(error)}
@@ -186,6 +191,20 @@ def _read_summaries(
             rows.append(_summary_pair(artifact))
     values = tuple(np.concatenate(parts)[: len(good)][good] for parts in zip(*rows, strict=True))
     return grids, values, target
+
+
+def _read_sharper(summaries: Sequence[Path], observed: Path, good: BoolArray) -> tuple[FloatArray, FloatArray]:
+    """What the paper does not use, for the learned summaries: of good samples [n_good, k] and observation [k]."""
+    with open_artifact(observed, "observed_summary") as artifact:
+        kinds = SHARPER if "amplitude" in artifact.settings["scan"]["statistics"] else SHARPER[:2]
+        names = [f"{COMBINED}/{kind}" for kind in kinds]
+        target = np.concatenate([np.atleast_1d(artifact.array(name)) for name in names])
+    rows = []
+    for path in summaries:
+        with open_artifact(path, "summaries") as artifact:
+            arrays = [artifact.array(name) for name in names]
+        rows.append(np.hstack([array.reshape(len(array), -1) for array in arrays]))
+    return np.concatenate(rows)[: len(good)][good], target
 
 
 def _summary_pair(artifact: Artifact) -> tuple[FloatArray, ...]:

@@ -101,6 +101,7 @@ class MocksSettings(StageSettings):
 class SummariesSettings(StageSettings):
     """Raster and summary statistics."""
 
+    stage_version: int = 2
     scan: ScanBlock
     summaries: SummariesBlock
 

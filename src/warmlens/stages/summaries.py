@@ -1,4 +1,4 @@
-"""Stages `summaries` and `observed_summary`: correlation function and cumulative distribution of scan maps."""
+"""Stages `summaries` and `observed_summary`: what is compared of the scan maps."""
 
 from __future__ import annotations
 
@@ -11,9 +11,14 @@ from warmlens.stages.samples import SampleTable
 from warmlens.stages.settings import SummariesSettings
 from warmlens.summaries.correlation import PairGeometry, correlation_function
 from warmlens.summaries.cumulative import counts_below, cumulative_distribution, threshold_grid
+from warmlens.summaries.response import amplitude_correlation, mean_square_significance
 from warmlens.types import FloatArray
 
 COMBINED = "combined"
+_SCAN = ("delta_r", "chi2")
+_RESPONSE = ("score", "fisher")  # only with the statistic `amplitude`
+
+Scan = dict[str, dict[str, FloatArray]]  # what the scan found, by band and name
 
 
 def run(settings: SummariesSettings, scans: Path, output: Path) -> None:
@@ -21,27 +26,37 @@ def run(settings: SummariesSettings, scans: Path, output: Path) -> None:
     with open_artifact(scans, "scans") as artifact:
         provenance = Provenance("summaries", settings.as_dict(), {"scans": scans}, span=artifact.span)
         table = SampleTable.read(artifact)
-        maps = {band: artifact.array(f"{band}/delta_r") for band in artifact.metadata["bands"]}
+        found = _read_scan(artifact)
         summary = _Summary(settings, artifact)
-        rows: dict[str, FloatArray] = summary.empty(len(table), [*maps, COMBINED])
+        rows: dict[str, FloatArray] = {}
 
         def summarise(row: int) -> None:
-            for name, values in summary.of_maps({band: data[row] for band, data in maps.items()}).items():
+            of_row = {band: {name: data[row] for name, data in maps.items()} for band, maps in found.items()}
+            for name, values in summary.of_scan(of_row).items():
                 rows[name][row] = values
 
+        for name, size in summary.sizes(found).items():
+            rows[name] = np.full((len(table), *size), np.nan)
         table.for_each(summarise, "summaries")
     datasets = {**table.datasets(), **summary.datasets(rows, ("sample",))}
-    write_artifact(output, provenance, datasets, {"bands": list(maps)})
+    write_artifact(output, provenance, datasets, {"bands": list(found)})
 
 
 def run_observed(settings: SummariesSettings, observed_scan: Path, output: Path) -> None:
     """Summarise the scan of the observation."""
     with open_artifact(observed_scan, "observed_scan") as artifact:
         provenance = Provenance("observed_summary", settings.as_dict(), {"observed_scan": observed_scan})
-        maps = {band: artifact.array(f"{band}/delta_r") for band in artifact.metadata["bands"]}
+        found = _read_scan(artifact)
         summary = _Summary(settings, artifact)
-        datasets = summary.datasets(summary.of_maps(maps), ())
-    write_artifact(output, provenance, datasets, {"bands": list(maps)})
+        datasets = summary.datasets(summary.of_scan(found), ())
+    write_artifact(output, provenance, datasets, {"bands": list(found)})
+
+
+def _read_scan(artifact: Artifact) -> Scan:
+    names = (*_SCAN, *_RESPONSE) if "amplitude" in artifact.settings["scan"]["statistics"] else _SCAN
+    return {
+        band: {name: artifact.array(f"{band}/{name}") for name in names} for band in artifact.metadata["bands"]
+    }
 
 
 class _Summary:
@@ -54,31 +69,45 @@ class _Summary:
         self.pairs = PairGeometry.from_raster(self.valid, settings.scan.step_arcsec, block.max_separation_arcsec)
         self.thresholds = threshold_grid(block.cumulative_min, block.threshold, block.cumulative_bins)
 
-    def of_maps(self, maps: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """Summaries of one set of maps [ny, nx], per band and of their sum."""
-        both = {**maps, COMBINED: np.sum(list(maps.values()), axis=0)}
+    def of_scan(self, scan: Scan) -> dict[str, FloatArray]:
+        """Summaries of one image, per band and of the sum of the bands."""
+        names = next(iter(scan.values()))
+        both = {**scan, COMBINED: {name: np.sum([maps[name] for maps in scan.values()], axis=0) for name in names}}
         result: dict[str, FloatArray] = {}
-        for band, delta_r in both.items():
+        for band, maps in both.items():
+            delta_r = maps["delta_r"]
             result[f"{band}/correlation"] = correlation_function(delta_r, self.pairs, self.threshold)
             result[f"{band}/cumulative"] = cumulative_distribution(delta_r, self.valid, self.thresholds)
             result[f"{band}/n_below"] = counts_below(delta_r, self.valid, np.array([self.threshold]))[0]
+            result[f"{band}/chi2"] = maps["chi2"]
+            if "score" in maps:
+                score, fisher = maps["score"], maps["fisher"]
+                result[f"{band}/mean_z2"] = mean_square_significance(score, fisher, self.valid)
+                result[f"{band}/amplitude_correlation"] = amplitude_correlation(score, fisher, self.pairs)
         return result
 
-    def empty(self, n: int, bands: list[str]) -> dict[str, FloatArray]:
-        """NaN rows for n samples."""
-        sizes = {
+    def sizes(self, scan: Scan) -> dict[str, tuple[int, ...]]:
+        """Shape of every summary of one image."""
+        sizes: dict[str, tuple[int, ...]] = {
             "correlation": (len(self.pairs.dr_arcsec),),
             "cumulative": self.thresholds.shape,
             "n_below": (),
+            "chi2": (),
         }
-        return {f"{band}/{name}": np.full((n, *size), np.nan) for band in bands for name, size in sizes.items()}
+        if "score" in next(iter(scan.values())):
+            sizes |= {"mean_z2": (), "amplitude_correlation": (len(self.pairs.dr_arcsec),)}
+        return {f"{band}/{name}": size for band in (*scan, COMBINED) for name, size in sizes.items()}
 
     def datasets(self, values: dict[str, FloatArray], lead: tuple[str, ...]) -> dict[str, Dataset]:
         """Values with units and axes, and the grids that they are taken on."""
+        separation = (*lead, "separation")
         described = {
-            "correlation": ((*lead, "separation"), "C(dr): mean product of Delta R below the threshold"),
+            "correlation": (separation, "C(dr): mean product of Delta R below the threshold"),
             "cumulative": ((*lead, "threshold"), "fraction of positions with Delta R below each threshold"),
             "n_below": (lead, "positions with Delta R below the threshold"),
+            "chi2": (lead, "chi2 of the fit with the smooth lens"),
+            "mean_z2": (lead, "mean of score^2 / Fisher information over the positions"),
+            "amplitude_correlation": (separation, "correlation of the amplitude, weighted by the sensitivity"),
         }
         datasets = {}
         for name, data in values.items():
