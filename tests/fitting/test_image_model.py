@@ -262,3 +262,9 @@ def test_neither_quasars_nor_light_nor_background() -> None:
     assert solution.bands[0].fixed.shape == (0, *GRID.shape)
     assert bare.jacobian(solution).shape == (bare.residuals(solution).size, len(lens.names))
     assert np.isfinite(bare.residuals(solution)).all()
+
+
+def test_degenerate_columns_are_refused_by_name(model: ImageModel) -> None:
+    twice = replace(model, basis=replace(model.basis, clumps=CLUMPS + CLUMPS), ridge=1e-18)
+    with pytest.raises(ValueError, match=r"degenerate to rounding with smooth_model\.ridge = 1e-18"):
+        twice.solve(twice.space.start)

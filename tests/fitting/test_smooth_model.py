@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from warmlens.config import SmoothModelBlock
+from warmlens.config_smooth_model import SmoothModelBlock
 from warmlens.fitting.image_model import ImageModel, Solution
 from warmlens.fitting.linear import solve
 from warmlens.fitting.smooth_model import FixedColumns, band_fit, linear_model

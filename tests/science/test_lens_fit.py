@@ -18,7 +18,7 @@ from lenstronomy.LensModel.lens_model import LensModel
 from lenstronomy.LightModel.light_model import LightModel
 from lenstronomy.PointSource.point_source import PointSource
 
-from warmlens.config import SmoothModelBlock
+from warmlens.config_smooth_model import SmoothModelBlock
 from warmlens.fitting.variable_projection import covariance
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel

@@ -11,7 +11,7 @@ from warmlens.artifacts import Dataset, Provenance, open_artifact, write_artifac
 from warmlens.campaign import draw_parameters
 from warmlens.config import Config
 from warmlens.stages import summaries
-from warmlens.stages.abc import SHARPER, _read_sharper
+from warmlens.stages.abc import _read_sharper
 from warmlens.stages.samples import FAILED_HERE, SampleTable
 from warmlens.stages.settings import stage_settings
 from warmlens.summaries.correlation import PairGeometry, correlation_function
@@ -79,4 +79,3 @@ def test_every_summary_of_bands_and_their_sum(statistics: list[str], paper_confi
     assert rows.shape == (2, 2 if statistics == ["delta_r"] else 3 + n_separations)
     assert row.shape == rows.shape[1:]
     assert np.isfinite(rows).all() and np.isfinite(row).all()
-    assert len(SHARPER) == 4

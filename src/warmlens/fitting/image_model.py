@@ -21,7 +21,7 @@ from typing import TypeVar
 import numpy as np
 from scipy import linalg
 
-from warmlens.fitting.linear import whitened_design
+from warmlens.fitting.linear import cholesky_factor, whitened_design
 from warmlens.fitting.parameters import Macro, Parameter, ParameterSpace
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import Convolution, point_source
@@ -233,7 +233,7 @@ class ImageModel:
         design, norms = whitened_design(source_columns, columns, convolution, band.weights, pixels)
         normal = design.T @ design
         normal[np.diag_indices_from(normal)] += self.ridge
-        factor = linalg.cho_factor(normal, lower=True, overwrite_a=True)
+        factor = (cholesky_factor(normal, self.ridge), True)
         data = (band.weights * band.image).ravel()[pixels]
         scaled = linalg.cho_solve(factor, design.T @ data)
         return BandSolution(pixels, design, factor, scaled / norms, data - design @ scaled, fixed)

@@ -123,15 +123,7 @@ def build_linear_model(
     known = np.isfinite(sigma)
     prior[n_source:][known] = 1.0 / (sigma * column_norms[n_source:])[known] ** 2  # of the scaled coefficient
     gram[np.diag_indices_from(gram)] += prior
-    factor, info = linalg.lapack.dpotrf(gram.T, lower=1, clean=1, overwrite_a=1)
-    # The square of a pivot is what the columns before leave of a column of unit norm.
-    smallest = float(np.diagonal(factor).min()) ** 2 if info == 0 else 0.0
-    if smallest <= gram.shape[0] * np.finfo(np.float64).eps:
-        raise ValueError(
-            f"the {gram.shape[0]} columns of the linear model are degenerate to rounding with "
-            f"smooth_model.ridge = {ridge:g} (smallest squared pivot {smallest:.1e}); raise it (1e-9 or above "
-            "works in double precision), or lower smooth_model.source.n_max"
-        )
+    factor = cholesky_factor(gram, ridge)
     inverse_factor, _ = linalg.lapack.dtrtri(factor, lower=1)
     return LinearModel(design, column_norms, np.ascontiguousarray(inverse_factor), prior, n_source)
 
@@ -170,6 +162,26 @@ def whitened_design(
     _check_columns(column_norms, n_source)
     design /= column_norms
     return design, column_norms
+
+
+def cholesky_factor(normal: FloatArray, ridge: float) -> FloatArray:
+    """Lower Cholesky factor L of the normal matrix of unit-norm columns [n, n], which is overwritten.
+
+    Raises
+    ------
+    ValueError
+        If the columns are degenerate to rounding with the `ridge` that the matrix holds already.
+    """
+    factor, info = linalg.lapack.dpotrf(normal.T, lower=1, clean=1, overwrite_a=1)
+    # The square of a pivot is what the columns before leave of a column of unit norm.
+    smallest = float(np.diagonal(factor).min()) ** 2 if info == 0 else 0.0
+    if smallest <= normal.shape[0] * np.finfo(np.float64).eps:
+        raise ValueError(
+            f"the {normal.shape[0]} columns of the linear model are degenerate to rounding with "
+            f"smooth_model.ridge = {ridge:g} (smallest squared pivot {smallest:.1e}); raise it (1e-9 or above "
+            "works in double precision), or lower smooth_model.source.n_max"
+        )
+    return factor
 
 
 def _check_columns(column_norms: FloatArray, n_source: int) -> None:

@@ -1,10 +1,10 @@
 """Improving the PSF on the quasar images of the lens itself.
 
 A PSF made elsewhere is wrong by per cents in its core, and its faint wings carry the noise of the star that it was
-made of; beside images a thousand times brighter than the arcs both exceed the noise. Stacking what is left about
-the images does not mend it, since the host galaxy follows most of the misfit. So the correction is solved for
-together with all other amplitudes of the model: every pixel of the kernel within a radius is one more linear
-column, shared by the images, with a Gaussian prior relative to the PSF.
+made of; beside images a thousand times brighter than the arcs both exceed the noise. About the images the source
+can follow part of the misfit, so the correction is solved for together with all other amplitudes of the model:
+every pixel of the kernel within a radius is one more linear column, shared by the images, with a Gaussian prior
+relative to the PSF.
 """
 
 from __future__ import annotations
@@ -152,6 +152,7 @@ def psf_error(model: ImageModel, solution: Solution, number: int, sigma: FloatAr
     -----
     In rings of one pixel about all images. The correction has one free value for all n images in each kernel
     pixel, which takes 1/n of the scatter; the ring's variance is scaled back by n/(n - 1).
+    A ring that scatters no more than the noise gets the error 0: nothing was measured there.
     """
     band, solved = model.bands[number], solution.bands[number]
     quasars = solution.macro.quasars

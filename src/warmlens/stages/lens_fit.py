@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from warmlens.campaign import stream
-from warmlens.config import ClumpsBlock, FitBlock, PsfFitBlock, SmoothModelBlock
+from warmlens.config_smooth_model import ClumpsBlock, FitBlock, PsfFitBlock, SmoothModelBlock
 from warmlens.fitting.clumps import find_clumps
 from warmlens.fitting.image_model import FitBand, ImageModel, Solution, SourceBasis
 from warmlens.fitting.parameters import (
@@ -273,7 +273,7 @@ def noise_sigma(model: ImageModel, solution: Solution, block: SmoothModelBlock, 
     """Noise of a band [ny, nx] [e-/s], inf where masked: of the model's image, or as it was observed.
 
     Poisson noise estimated from the data themselves is too small wherever the noise is negative, which pulls
-    every fit down; and the mocks have no such thing.
+    every fit down; and the mocks have no such thing. Pixels that the fit leaves out keep the noise of their data.
     """
     if block.noise_from == "data" or data.noise.background_rms is None:
         return data.sigma

@@ -12,7 +12,6 @@ from typing import Any
 from warmlens.artifacts import settings_digest
 from warmlens.config import (
     AbcBlock,
-    Block,
     Config,
     CosmologyBlock,
     DarkMatterBlock,
@@ -22,9 +21,10 @@ from warmlens.config import (
     ObservationBlock,
     RedshiftBlock,
     ScanBlock,
-    SmoothModelBlock,
     SummariesBlock,
 )
+from warmlens.config_smooth_model import SmoothModelBlock
+from warmlens.config_types import Block
 
 
 class StageSettings(Block):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from warmlens.artifacts import Dataset, Provenance, write_artifact
-from warmlens.config import SmoothModelBlock
+from warmlens.config_smooth_model import SmoothModelBlock
 from warmlens.fitting.smooth_model import BandFit, band_fit
 from warmlens.fitting.variable_projection import covariance
 from warmlens.imaging.observation import Observation
