@@ -70,14 +70,15 @@ def test_prior_of_single_columns(parts):
     sigma = np.array([np.inf, 3e-3, 0.2])
     model = build_linear_model(*parts, RIDGE, sigma)
     np.testing.assert_array_equal(model.prior[:13], RIDGE)
-    np.testing.assert_allclose(model.prior[13:] * model.column_norms[13:] ** 2, sigma[1:] ** -2.0, rtol=1e-13)
+    expected = RIDGE + (sigma[1:] * model.column_norms[13:]) ** -2.0
+    np.testing.assert_allclose(model.prior[13:], expected, rtol=1e-13)
     gram = model.design.T @ model.design + np.diag(model.prior)
     np.testing.assert_allclose(model.inverse_factor @ gram @ model.inverse_factor.T, np.eye(15), atol=1e-10)
 
     whitened = np.random.default_rng(16).normal(size=(480, 4)) * (weights.ravel()[:, None] > 0)
     fit = solve(model, whitened)
     columns = np.hstack([convolution.forward(source.T.reshape(-1, *SHAPE)).reshape(12, -1).T, fixed])
-    rows = np.diag(np.concatenate([np.sqrt(RIDGE) * model.column_norms[:13], 1.0 / sigma[1:]]))
+    rows = np.diag(np.sqrt(model.prior) * model.column_norms)
     stacked = np.vstack([weights.reshape(-1, 1) * columns, rows])
     target = np.vstack([whitened, np.zeros((15, 4))])
     expected = np.linalg.lstsq(stacked / model.column_norms, target)[0] / model.column_norms[:, None]

@@ -46,6 +46,7 @@ def campaign(band, mocks, tmp_path, monkeypatch):
         ridge=1e-8,
         fixed={"F814W": np.stack([quasar, np.ones(quasar.size)], axis=1)},
         macro={"F814W": rng.normal(size=(quasar.size, 2))},
+        macro_sigma=np.array([1.0, 30.0]),
     )
     for module in (scans, scan_operator):
         monkeypatch.setattr(module, "read_observation", lambda _: observation)
@@ -218,8 +219,8 @@ def test_macro_columns_join_with_their_prior(campaign):
     build(campaign, settings)
     with open_artifact(campaign.design, "scan_design") as design:
         prior, norms = design.array("F814W/prior"), design.array("F814W/column_norms")
-    np.testing.assert_allclose(prior[-2:] * norms[-2:] ** 2, 1.0)
     np.testing.assert_array_equal(prior[:-2], 1e-8)
+    np.testing.assert_allclose(prior[-2:], 1e-8 + (campaign.model.macro_sigma * norms[-2:]) ** -2.0)
     free = scanner(campaign, settings).scan("F814W", campaign.image[None], np.array([0]))
     assert free.delta_r.shape == (1, 4, 4)
     campaign.model.macro["F814W"] = np.empty((960, 0))

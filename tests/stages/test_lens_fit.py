@@ -15,7 +15,9 @@ import yaml
 from warmlens.artifacts import Provenance, open_artifact, write_artifact
 from warmlens.config import Config
 from warmlens.config_file import parse_config
+from warmlens.fitting.linear import solve
 from warmlens.fitting.smooth_model import band_fit
+from warmlens.fitting.variable_projection import covariance, prior_axes
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Band, Observation, checked_band
@@ -24,7 +26,7 @@ from warmlens.imaging.shapelets import ShapeletSet, surface_brightness
 from warmlens.lensing.macro_model import deflection, light_images
 from warmlens.stages import scan_operator, smooth_model
 from warmlens.stages.lens_fit import first_model, fit_lens, outside_cores, solve_given, usable_pixels
-from warmlens.stages.products import observation_datasets, read_observation, read_smooth_model
+from warmlens.stages.products import SmoothModel, observation_datasets, read_observation, read_smooth_model
 from warmlens.stages.settings import stage_settings
 
 ROOT = Path(__file__).parents[2]
@@ -190,13 +192,13 @@ def test_product_of_the_fit(fitted: Path, observed: Observation) -> None:
     pull = (observed.bands[0].image - fit.model)[2:] / SIGMA
     assert fit.chi2 == pytest.approx(np.sum(pull**2), rel=1e-9)
     macro = model.macro["F814W"]
-    assert macro.shape == (3600, 8)
+    assert macro.shape == (3600, 18)
     with open_artifact(fitted, "smooth_model") as artifact:
-        variance = artifact.array("parameters/covariance")[:8, :8]
-        start = artifact.array("parameters/value")
+        variance = artifact.array("parameters/covariance")
+        best = artifact.array("parameters/value")
     fit_again = fit_lens(config(off(smooth_block())).smooth_model, observed)
-    images, _ = fit_again.model.derivatives(fit_again.model.solve(start))
-    expected = images[0][:, :8] @ variance @ images[0][::97, :8].T
+    images, _ = fit_again.model.derivatives(fit_again.model.solve(best))
+    expected = images[0] @ variance @ images[0][::97].T
     np.testing.assert_allclose(macro @ macro.T[:, ::97], expected, atol=1e-6 * np.abs(macro).max() ** 2)
 
 
@@ -376,16 +378,53 @@ def test_noise_is_the_model_s_or_the_data_s(observed: Observation) -> None:
     assert np.abs(fit.model.bands[0].weights[2:] * band.sigma[2:] - 1.0).max() > 0.05
 
 
+def test_axes_of_the_errors_and_their_priors(folder: Path, observed: Observation) -> None:
+    """Along the axes errors are one and priors independent, none narrower than the error that it is part of."""
+    fit = fit_lens(config(off(smooth_block())).smooth_model, observed)
+    axes, sigma = prior_axes(fit.model, fit.solution)
+    curvature = np.linalg.inv(covariance(fit.model, fit.solution))
+    np.testing.assert_allclose(axes.T @ curvature @ axes, np.eye(18), atol=1e-6)
+    _, traced = fit.model.derivatives(fit.solution)
+    spread = (traced - traced.mean(axis=0)) / 0.003
+    prior = np.einsum("qci,qcj->ij", spread, spread) + np.diag(fit.model.space.prior_sigma**-2.0)
+    np.testing.assert_allclose(axes.T @ prior @ axes, np.diag(sigma**-2.0), atol=1e-6)
+    assert (sigma >= 1.0).all() and sigma.min() < 3.0 and np.sum(sigma > 10.0) >= 5
+
+
+def test_linear_refit_is_the_fit(fitted: Path, folder: Path, observed: Observation) -> None:
+    """A lens that is 4 sigma away: the scan's linear fit with the lens free reaches the chi2 of a whole fit.
+
+    With its lens fixed, or held by the errors of the fit instead of its priors, it does not.
+    """
+    model = read_smooth_model(fitted)
+    band = observed.bands[0]
+    step = 4.0 * np.random.default_rng(8).choice([-1.0, 1.0], model.macro_sigma.size) / np.sqrt(18)
+    step *= model.macro_sigma > 3.0  # along a prior the image is not moved
+    image = band.image + (model.macro["F814W"] @ step).reshape(GRID.shape)
+    moved = Observation("simulated", GRID, (replace(band, image=image),))
+    again = fit_lens(config(smooth_block()).smooth_model, moved)
+    assert again.converged
+
+    def chi2(model: SmoothModel, marginalise: bool) -> float:
+        raw = config(smooth_block()).model_dump()
+        raw["scan"] |= {"marginalise_lens": marginalise, "nested": None}
+        linear = scan_operator.scan_linear_model(parse_config(raw).scan, observed, model, "F814W")
+        return solve(linear, (image * band.weights).reshape(-1, 1)).chi2[0]
+
+    whole = again.solution.chi2
+    assert chi2(model, True) == pytest.approx(whole, abs=0.3)
+    assert chi2(model, False) > whole + 8.0
+    assert chi2(replace(model, macro_sigma=np.ones(18)), True) > whole + 2.0
+
+
 def test_macro_columns_are_what_moving_the_lens_does(folder: Path, fitted: Path) -> None:
-    """One sigma along an axis of the error ellipsoid changes the image by that column, and the scan takes them."""
+    """One sigma along an axis of the fit's errors changes the image by that column, and the scan takes them."""
     model = read_smooth_model(fitted)
     with open_artifact(fitted, "smooth_model") as artifact:
         names = [item["name"] for item in artifact.metadata["parameters"]]
-        covariance = artifact.array("parameters/covariance")
-    lens = [i for i, name in enumerate(names) if name.startswith("lens_")]
-    root = np.linalg.cholesky(covariance[np.ix_(lens, lens)])
-    assert model.macro["F814W"].shape == (GRID.ny * GRID.nx, len(lens))
-    derivatives = np.linalg.solve(root.T, model.macro["F814W"].T).T  # per unit of each parameter
+    refitted = fit_lens(config(off(smooth_block())).smooth_model, read_observation(folder / "observation.h5"))
+    axes, _ = prior_axes(refitted.model, refitted.solution)
+    derivatives = np.linalg.solve(axes.T, model.macro["F814W"].T).T  # per unit of each parameter
     theta_e = names.index("lens_0.theta_E")
     shifted = copy.deepcopy(list(model.kwargs_lens))
     shifted[0]["theta_E"] += 1e-4
@@ -401,7 +440,7 @@ def test_macro_columns_are_what_moving_the_lens_does(folder: Path, fitted: Path)
         for rays in (moved, (model.rays.source_x, model.rays.source_y))
     ]
     expected = Convolution(model.fits["F814W"].psf, GRID.shape).forward((images[0] - images[1]) / 1e-4)
-    found = derivatives[:, lens.index(theta_e)].reshape(GRID.shape)
+    found = derivatives[:, theta_e].reshape(GRID.shape)
     np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
 
     raw = config(smooth_block()).model_dump()
@@ -411,5 +450,5 @@ def test_macro_columns_are_what_moving_the_lens_does(folder: Path, fitted: Path)
     with open_artifact(folder / "design.h5", "scan_design") as artifact:
         prior, norms = artifact.array("F814W/prior"), artifact.array("F814W/column_norms")
     n_free = model.fits["F814W"].n_columns
-    assert prior.size == n_free + len(lens)
-    np.testing.assert_allclose(prior[n_free:], norms[n_free:] ** -2.0)  # unit Gaussian on each amplitude
+    assert prior.size == n_free + len(names)
+    np.testing.assert_allclose(prior[n_free:], 1e-8 + (model.macro_sigma * norms[n_free:]) ** -2.0)

@@ -251,8 +251,15 @@ class ImageModel:
             -band.unfollowed(model.weights.reshape(-1, 1)[band.pixels] * image[band.pixels]) / self.temperature
             for band, model, image in zip(solution.bands, self.bands, images, strict=True)
         ]
+        return np.vstack([*rows, self.prior_jacobian(traced)])
+
+    def prior_jacobian(self, traced: FloatArray) -> FloatArray:
+        """Rows of `jacobian` that hold no image: the quasars' tie and the priors [n_rows, n_parameter].
+
+        `traced` is the derivative of the quasars' source points [n_quasars, 2, n_parameter].
+        """
         tie = _about_mean(traced) / self.tie_arcsec
-        return np.vstack([*rows, tie.reshape(-1, len(solution.vector)), np.diag(1.0 / self.space.prior_sigma)])
+        return np.vstack([tie.reshape(-1, traced.shape[2]), np.diag(1.0 / self.space.prior_sigma)])
 
     def derivatives(self, solution: Solution) -> tuple[list[FloatArray], FloatArray]:
         """Derivatives at fixed amplitudes.

@@ -91,7 +91,7 @@ def build_linear_model(
         Prior weight (`smooth_model.ridge`), > 0; small against 1, the norm of a column.
     fixed_sigma
         Standard deviation of the Gaussian prior on the amplitude of each fixed column, as the column is
-        given [n_fixed], > 0; infinite (or None for all) where there is the ridge alone.
+        given [n_fixed], > 0, beside the ridge; infinite (or None for all) where there is the ridge alone.
 
     Returns
     -------
@@ -121,7 +121,7 @@ def build_linear_model(
     gram = design.T @ design
     prior = np.full(column_norms.size, float(ridge))
     known = np.isfinite(sigma)
-    prior[n_source:][known] = 1.0 / (sigma * column_norms[n_source:])[known] ** 2  # of the scaled coefficient
+    prior[n_source:][known] += 1.0 / (sigma * column_norms[n_source:])[known] ** 2  # of the scaled coefficient
     gram[np.diag_indices_from(gram)] += prior
     factor = cholesky_factor(gram, ridge)
     inverse_factor, _ = linalg.lapack.dtrtri(factor, lower=1)

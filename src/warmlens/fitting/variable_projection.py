@@ -93,6 +93,29 @@ def tempered(model: ImageModel, start: FloatArray) -> ImageModel:
     return replace(model, temperature=max(1.0, float(np.sqrt(solution.chi2 / solution.n_pixels))))
 
 
+def prior_axes(model: ImageModel, solution: Solution) -> tuple[FloatArray, FloatArray]:
+    """Axes along which both the errors of the fit and its prior are independent.
+
+    Returns
+    -------
+    axes
+        V [n, n], one a column: steps of the parameters by one sigma of the fit, V^T C^-1 V = 1.
+    prior_sigma
+        Width of the prior (limits of the parameters apart, the quasars' tie included) along each, in units of
+        that sigma [n], >= 1; infinite where there is none.
+
+    Notes
+    -----
+    The curvature C^-1 holds the prior's P. With the covariance C = R R^T, R^T P R = U diag(w) U^T and V = R U, the
+    prior has the precision w <= 1 along V: the data have 1 - w.
+    """
+    root = np.linalg.cholesky(covariance(model, solution))
+    rows = model.prior_jacobian(model.derivatives(solution)[1])
+    weights, turned = np.linalg.eigh(root.T @ (rows.T @ rows) @ root)
+    with np.errstate(divide="ignore"):
+        return root @ turned, 1.0 / np.sqrt(np.clip(weights, 0.0, 1.0))
+
+
 def covariance(model: ImageModel, solution: Solution) -> FloatArray:
     """Covariance of the parameters [n, n] from the curvature at the best fit, priors included.
 

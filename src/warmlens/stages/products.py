@@ -88,8 +88,10 @@ class SmoothModel:
     quasars
         Positions of the quasar images [n_quasars, 2] [arcsec].
     macro
-        Per band: what the image changes by when the lens moves along the axes of its error ellipsoid, by one
-        sigma each [npix, n_lens]; none for a given lens, whose errors are not known.
+        Per band: what the image changes by when the fitted parameters move along the axes of their errors, by
+        one sigma each [npix, n_axes]; none for a given lens, whose errors are not known.
+    macro_sigma
+        Width of the fit's own prior along each axis, in units of that sigma [n_axes], >= 1.
     """
 
     deflection: FloatArray
@@ -105,6 +107,7 @@ class SmoothModel:
     kwargs_lens: tuple[dict[str, Any], ...]
     quasars: FloatArray
     macro: dict[str, FloatArray]
+    macro_sigma: FloatArray
 
 
 def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[str, Any]]:
@@ -117,6 +120,7 @@ def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[
         "rays/source_x": Dataset(model.rays.source_x, arcsec, _RAY, "source position, to the West"),
         "rays/source_y": Dataset(model.rays.source_y, arcsec, _RAY, "source position, to the North"),
         "quasars": Dataset(model.quasars, arcsec, ("quasar", "component"), "quasar images (x, y)"),
+        "macro_sigma": Dataset(model.macro_sigma, "", ("axis",), "width of the fit's prior, in sigma of the fit"),
     }
     for band, fit in model.fits.items():
         datasets |= {
@@ -134,7 +138,10 @@ def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[
             f"{band}/sigma": Dataset(fit.sigma, _RATE, _SKY, "noise with the PSF error, inf where masked"),
             f"{band}/psf": Dataset(fit.psf, "", _SKY, "point spread function of the model, sum 1"),
             f"{band}/macro_columns": Dataset(
-                model.macro[band], _RATE, ("pixel", "axis"), "change of the image for one sigma of the lens"
+                model.macro[band],
+                _RATE,
+                ("pixel", "axis"),
+                "change of the image for one sigma of the fitted parameters",
             ),
         }
     metadata = {
@@ -180,6 +187,7 @@ def read_smooth_model(path: Path) -> SmoothModel:
             kwargs_lens=tuple(meta["kwargs_lens"]),
             quasars=artifact.array("quasars"),
             macro={band: artifact.array(f"{band}/macro_columns") for band in meta["bands"]},
+            macro_sigma=artifact.array("macro_sigma"),
         )
 
 

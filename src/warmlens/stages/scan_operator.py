@@ -64,18 +64,18 @@ def run_design(settings: ScanSettings, observation: Path, smooth_model: Path, ou
 
 
 def scan_linear_model(block: ScanBlock, observed: Observation, model: SmoothModel, name: str) -> LinearModel:
-    """Whitened design of band `name`: source, fixed columns and, if asked for, derivatives by the lens."""
+    """Whitened design of band `name`: source, fixed columns and, if asked for, derivatives by the lens' fit."""
     band, convolution = scan_band(observed, model, name)
     columns, sigma = model.fixed[name], np.full(model.fixed[name].shape[1], np.inf)
     if block.marginalise_lens:
         macro = model.macro[name]
         if macro.shape[1] == 0:
             raise ValueError(
-                "scan.marginalise_lens: true needs a smooth model that knows the errors of its lens parameters, "
+                "scan.marginalise_lens: true needs a smooth model that knows the errors of its parameters, "
                 "but this one has none; set it to false, or let smooth_model.mode fit the lens"
             )
         columns = np.hstack([columns, macro])
-        sigma = np.append(sigma, np.ones(macro.shape[1]))  # the columns are for one standard deviation each
+        sigma = np.append(sigma, model.macro_sigma)
     source = pixel_basis(model.sets, model.rays.source_x, model.rays.source_y)
     return build_linear_model(source, columns, convolution, band.weights, model.ridge, sigma)
 

@@ -51,13 +51,14 @@ class ObservationSettings(StageSettings):
 class SmoothModelSettings(StageSettings):
     """Lens, light and source basis of the smooth model."""
 
+    stage_version: int = 2
     smooth_model: SmoothModelBlock
 
 
 class ScanSettings(StageSettings):
     """Perturber, nested shapelets and raster; for masses, the observed scan's also cosmology and redshifts."""
 
-    stage_version: int = 2
+    stage_version: int = 3
     scan: ScanBlock
     cosmology: CosmologyBlock | None = None
     redshifts: RedshiftBlock | None = None

@@ -12,7 +12,7 @@ import numpy as np
 from warmlens.artifacts import Dataset, Provenance, write_artifact
 from warmlens.config_smooth_model import SmoothModelBlock
 from warmlens.fitting.smooth_model import BandFit, band_fit
-from warmlens.fitting.variable_projection import covariance
+from warmlens.fitting.variable_projection import covariance, prior_axes
 from warmlens.imaging.observation import Observation
 from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
@@ -59,6 +59,7 @@ def _product(block: SmoothModelBlock, observed: Observation, fitted: LensFit) ->
         )  # fmt: skip
     grid = observed.grid
     x, y = grid.subpixel_coordinates(block.source.supersampling)
+    macro, macro_sigma = _macro_columns(fitted)
     n_quasars = len(solution.macro.quasars)
     names = [f"quasar_{i}" for i in range(n_quasars)] + [f"light_{i}" for i in range(len(model.light_models))]
     names += ["background"] * block.fit_background
@@ -78,23 +79,22 @@ def _product(block: SmoothModelBlock, observed: Observation, fitted: LensFit) ->
         lens_models=model.lens_models,
         kwargs_lens=solution.macro.kwargs_lens,
         quasars=solution.macro.quasars,
-        macro=dict(zip(fits, _macro_columns(fitted), strict=True)),
+        macro=dict(zip(fits, macro, strict=True)),
+        macro_sigma=macro_sigma,
     )
 
 
-def _macro_columns(fitted: LensFit) -> list[FloatArray]:
-    """Change of each band's image along the axes of the lens' error ellipsoid, one sigma each [npix, n_lens].
+def _macro_columns(fitted: LensFit) -> tuple[list[FloatArray], FloatArray]:
+    """What each band's image changes by along the axes of the fit's errors [npix, n], and their priors [n].
 
-    With C = R R^T the covariance of the lens parameters, image derivatives times R have independent
-    amplitudes of unit variance.
+    With them as columns, a linear fit repeats the fit of all parameters to first order.
     """
     model, solution = fitted.model, fitted.solution
-    lens = [i for i, item in enumerate(model.space.parameters) if item.kind == "lens"]
-    if not lens:
-        return [np.empty((model.grid.ny * model.grid.nx, 0)) for _ in model.bands]
-    root = np.linalg.cholesky(covariance(model, solution)[np.ix_(lens, lens)])
+    if not model.space.parameters:
+        return [np.empty((model.grid.ny * model.grid.nx, 0)) for _ in model.bands], np.empty(0)
+    axes, sigma = prior_axes(model, solution)
     images, _ = model.derivatives(solution)
-    return [image[:, lens] @ root for image in images]
+    return [image @ axes for image in images], sigma
 
 
 def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit]) -> list[str]:
