@@ -1,12 +1,16 @@
 # make demo   set up, and run the demonstration campaign to posterior, bound and figures
+# make report set up, and write RESULTS/report.html of a finished campaign (RESULTS=results/demo unless given)
+# make docs   set up, and write docs/configuration.md anew
 # make test   set up, and check style, types and behaviour
+# make test-slurm  as root: set up, install and start a Slurm of one node, and run and kill campaigns on it
 PYTHON ?= python3
+RESULTS ?= results/demo
 CORES ?= $(shell getconf _NPROCESSORS_ONLN)
 BIN := .venv/bin
 READY := .venv/.ready
 SNAKEMAKE := $(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/local
 
-.PHONY: demo campaign hst test lint format lock clean
+.PHONY: demo campaign hst report docs test test-slurm lint format lock clean
 
 demo: $(READY)
 	$(SNAKEMAKE) --configfile workflow/configs/demo.yaml
@@ -17,8 +21,18 @@ campaign: $(READY)
 hst: $(READY)
 	$(SNAKEMAKE) --configfile workflow/configs/hst.yaml
 
+report: $(READY)
+	$(BIN)/warmlens report $(RESULTS)
+
+docs: $(READY)
+	$(BIN)/warmlens config-reference --output docs/configuration.md
+
 test: lint
 	$(BIN)/pytest --durations=10
+
+test-slurm: $(READY)
+	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[slurm]'
+	WARMLENS_TEST_SLURM=1 $(BIN)/pytest --durations=0 tests/slurm
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -17,8 +17,10 @@ include: "workflow/rules/deflections.smk"
 include: "workflow/rules/mocks.smk"
 include: "workflow/rules/scans.smk"
 include: "workflow/rules/summaries.smk"
-include: "workflow/rules/abc.smk"
+include: "workflow/rules/null_test.smk"
+include: f"workflow/rules/{ANSWER}.smk"
 include: "workflow/rules/figures.smk"
+include: "workflow/rules/report.smk"
 
 
 rule all:
@@ -26,9 +28,9 @@ rule all:
     localrule: True
     input:
         # every stage's files, so that a deleted artifact is made again
-        [stage_files(CAMPAIGN, stage) for stage in STAGES],
-        results(TABLE),
-        results(NUMBERS),
-        expand(results("figures/{figure}.png"), figure=FIGURES),
+        [stage_files(CAMPAIGN, stage) for stage in CAMPAIGN_STAGES],
+        [results(name) for name in ANSWER_FILES[ANSWER]],
+        expand(results("figures/{figure}.{kind}"), figure=DRAWN, kind=("png", "csv")),
+        [results(REPORT)] if ANSWER == "abc" else [],
     message:
-        "all artifacts and figures are there"
+        "all artifacts, the figures and the report are there"

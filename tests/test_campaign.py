@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import stats
 
-from warmlens.campaign import chunk_spans, draw_parameters, shard_spans, span_name, stream
+from warmlens.campaign import chunk_spans, draw_parameters, grid_parameters, shard_spans, span_name, stream
 
 
 def test_streams_depend_on_every_part_of_the_key() -> None:
@@ -36,3 +36,13 @@ def test_chunks_are_full_and_shards_are_cut() -> None:
     assert shard_spans(6400, 600)[-1] == (6000, 6400)
     names = [span_name(span) for span in chunk_spans(10**6, 10**5)]
     assert names == sorted(names)
+
+
+def test_a_grid_brings_all_nodes_before_the_next_realization() -> None:
+    nodes = (1.0, 2.0, 5.0), (12.0, 13.0)
+    found = grid_parameters((0, 14), *nodes)
+    assert found.m_th_kev[:7].tolist() == [1.0, 2.0, 5.0, 1.0, 2.0, 5.0, 1.0]
+    assert found.log10_m_halo_msun[:7].tolist() == [12.0, 12.0, 12.0, 13.0, 13.0, 13.0, 12.0]
+    later = grid_parameters((5, 9), *nodes)
+    assert np.array_equal(later.m_th_kev, found.m_th_kev[5:9])
+    assert later.sample_id.tolist() == [5, 6, 7, 8]

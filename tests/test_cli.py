@@ -49,6 +49,8 @@ def test_a_stage_runs_by_hand(tmp_path: Path) -> None:
     [
         (("status", "nowhere"), "nowhere/config.json: no such file; is nowhere the results folder"),
         (("result", "nowhere"), "nowhere/abc.h5: no such artifact"),
+        (("report", "nowhere"), "nowhere/config.json: no such file"),
+        (("show", "nowhere", "0"), "nowhere/config.json: no such file"),
         (("params", "scan"), "unknown stage 'scan'"),
         (("validate", "--configfile", "absent.yaml"), "absent.yaml: no such file"),
     ],

@@ -12,7 +12,7 @@ from warmlens.config import Config
 from warmlens.config_file import ConfigError, expand_path, load_config, parse_config
 
 ROOT = Path(__file__).parents[1]
-OVERLAYS = sorted((ROOT / "workflow/configs").glob("*.yaml"))
+OVERLAYS = sorted(path for path in (ROOT / "workflow/configs").glob("*.yaml") if path.stem != "systematics")
 
 
 @pytest.fixture(scope="module")
@@ -114,6 +114,11 @@ def _changed(raw: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("smooth_model.chi2_red_range", [1.1, 0.9], "smooth_model.chi2_red_range", "must be below the upper end"),
         ("summaries.threshold", 4.0, "summaries.threshold", "less than 0"),
         ("summaries.cumulative_min", -3.0, "summaries", "must be below threshold"),
+        ("summaries.count_thresholds", [-4.0, -10.0], "summaries", "count_thresholds must rise"),
+        ("summaries.count_thresholds", [], "summaries.count_thresholds", "at least 1 item"),
+        ("null_test.n_mocks", -1, "null_test.n_mocks", "greater than or equal to 0"),
+        ("abc.summaries", "best", "abc.summaries", "'paper', 'sharper' or 'learned'"),
+        ("abc.summaries", "sharper", "config", r"set scan\.statistics: \[delta_r, amplitude\]"),
         ("deflections.filter", "wavelet", "deflections.filter", "'gaussian', 'starlet' or 'median_wavelet'"),
         ("deflections.smooth_host", "perhaps", "deflections.smooth_host", "valid boolean"),
         ("mocks.quasar_positions", "fixed", "mocks.quasar_positions", "'observed' or 'solved'"),
@@ -155,7 +160,9 @@ def test_psf_fit_needs_quasars(paper: dict[str, Any]) -> None:
 
 def test_given_lens_needs_no_fit_block(paper: dict[str, Any]) -> None:
     given = _changed(_changed(paper, "smooth_model.mode", "given"), "smooth_model.fit", None)
-    assert parse_config(given).smooth_model.fit is None
+    with pytest.raises(ConfigError, match=r"scan\.marginalise_lens needs .*mode: given has not; .* set it to false"):
+        parse_config(given)
+    assert parse_config(_changed(given, "scan.marginalise_lens", False)).smooth_model.fit is None
 
 
 def test_a_fit_drops_the_potential_shapelets_of_the_start(paper: dict[str, Any]) -> None:
@@ -211,3 +218,47 @@ def test_paths_with_environment_variables(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.delenv("WARMLENS_TEST_FOLDER")
     with pytest.raises(ConfigError, match="WARMLENS_TEST_FOLDER is not set"):
         expand_path("${WARMLENS_TEST_FOLDER}/sci.fits")
+
+
+def _grid(**changes: Any) -> dict[str, Any]:
+    grid = {"m_th_kev": [1.0, 2.0, 5.0], "log10_m_halo_msun": [13.0, 13.5], "realizations": 4}
+    return {"seed": 1, "n_samples": 24, "chunk_size": 6, "design": "grid", "grid": {**grid, **changes}}
+
+
+def test_grid_design(paper: dict[str, Any]) -> None:
+    campaign = parse_config(_changed(paper, "campaign", _grid())).campaign
+    assert campaign.grid is not None
+    assert campaign.grid.n_nodes == 6
+
+
+@pytest.mark.parametrize(
+    ("campaign", "reason"),
+    [
+        (
+            _grid(realizations=5),
+            r"n_samples = 24, but the grid has 6 nodes x 5 realizations = 30; set n_samples: 30",
+        ),
+        (_grid(m_th_kev=[2.0, 1.0, 5.0]), r"m_th_kev must rise from value to value"),
+        (_grid(m_th_kev=[1.0, float("nan"), 5.0]), "finite"),
+        (_grid(log10_m_halo_msun=[13.0]), "at least 2 items"),
+        (
+            _grid(m_th_kev=[1.0, 2.0, 7.0]),
+            r"campaign.grid.m_th_kev \[7.0\] lie outside dark_matter.m_th_kev = \[1, 5\]",
+        ),
+        (_grid(log10_m_halo_msun=[12.0, 13.5]), r"log10_m_halo_msun \[12.0\] lie outside"),
+        ({**_grid(), "grid": None}, "design: grid needs the block 'grid'"),
+        ({**_grid(), "design": "prior"}, "grid is given with design: prior"),
+        ({**_grid(), "design": "random"}, "'prior' or 'grid'"),
+    ],
+)
+def test_impossible_grids(paper: dict[str, Any], campaign: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason) as error:
+        parse_config(_changed(paper, "campaign", campaign))
+    assert len(error.value.problems) == 1
+
+
+def test_observation_of_another_campaign_needs_its_path(paper: dict[str, Any]) -> None:
+    taken = {**paper["observation"], "kind": "artifact", "artifact": "results/other/observation.h5"}
+    assert parse_config(_changed(paper, "observation", taken)).observation.artifact == taken["artifact"]
+    with pytest.raises(ConfigError, match="kind: artifact needs the key 'artifact'"):
+        parse_config(_changed(paper, "observation.kind", "artifact"))

@@ -8,12 +8,10 @@ import hashlib
 import json
 import os
 import shutil
-import subprocess
 import time
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,17 @@ import numpy as np
 import numpy.typing as npt
 
 from warmlens import __version__
+from warmlens.code_version import code_commit
+from warmlens.hdf5_checks import (
+    UnusableFileError,
+    dataset_names,
+    inputs_attribute,
+    json_attribute,
+    number_attribute,
+    read_text,
+    span_attribute,
+    text_attribute,
+)
 
 SCHEMA_VERSION = 1
 _LIBVER = ("v110", "v110")
@@ -67,10 +76,14 @@ class Provenance:
 
 @dataclass(frozen=True)
 class Artifact:
-    """An open artifact: `artifact["name"][...]` reads a dataset."""
+    """An open artifact: `artifact["name"][...]` reads a dataset.
+
+    What the file consists of, and every attribute, was checked when it was opened.
+    """
 
     path: Path
     file: h5py.File
+    names: tuple[str, ...]
     stage: str
     digest: str
     metadata: dict[str, Any]
@@ -81,24 +94,71 @@ class Artifact:
 
     def __getitem__(self, name: str) -> h5py.Dataset:
         """Dataset `name`, not yet read."""
-        if name not in self.file:
-            raise ArtifactError(f"{self.path}: has no dataset {name!r}; it was written by other code: run again")
+        if name not in self.names:
+            raise ArtifactError(f"{self.path}: has no dataset {name!r}; it was written by other code: {_REMEDY}")
         return self.file[name]
 
     def array(self, name: str) -> npt.NDArray[Any]:
-        """Dataset `name`, read whole."""
-        try:
-            return self[name][...]
-        except OSError as error:
-            raise ArtifactError(f"{self.path}: dataset {name!r} is damaged ({error}); {_REMEDY}") from error
+        """Dataset `name` of numbers, read whole."""
+        node = self[name]
+        with reading(self.path, f"dataset {name!r}"):
+            if node.dtype.kind == "O":
+                raise UnusableFileError(f"dataset {name!r} is text, expected numbers")
+            return node[...]
 
     def strings(self, name: str) -> list[str]:
         """Dataset `name` of strings, read whole."""
-        return [text.decode() for text in self.array(name)]
+        node = self[name]
+        with reading(self.path, f"dataset {name!r}"):
+            if node.dtype.kind != "O":
+                raise UnusableFileError(f"dataset {name!r} is numbers, expected text")
+            return [text.decode() for text in read_text(node, self.path.stat().st_size)]
+
+    def dataset(self, name: str) -> Dataset:
+        """Dataset `name`, read whole with its unit, axes and description."""
+        node = self[name]
+        data = self.strings(name) if node.dtype.kind == "O" else self.array(name)
+        with reading(self.path, f"dataset {name!r}"):
+            unit, description = text_attribute(node, "unit"), text_attribute(node, "description")
+            axes = tuple(str(axis) for axis in node.attrs["axes"])
+            if len(axes) != node.ndim:
+                raise UnusableFileError(f"dataset {name!r} has {node.ndim} dimensions, but axes {axes}")
+            return Dataset(data, unit, axes, description)
+
+
+class _Recorded(dict[str, Any]):
+    """JSON object of an artifact's metadata: a key that it lacks is an error that names the file."""
+
+    def __init__(self, path: Path, content: Mapping[str, Any]) -> None:
+        super().__init__(content)
+        self._path = path
+
+    def __missing__(self, key: str) -> Any:
+        raise ArtifactError(f"{self._path}: its metadata have no {key!r}; it was written by other code: {_REMEDY}")
 
 
 _SPARE_BYTES = 2**20
+_DESCRIPTIVE = ("schema", "package_version", "git_commit", "settings_sha256", "seed_key", "created_utc")
 _REMEDY = "delete the file and run the campaign again: only it and what depends on it is made anew"
+
+
+@contextlib.contextmanager
+def reading(path: Path, what: str = "the file") -> Iterator[None]:
+    """Whatever goes wrong while an artifact is read, as an `ArtifactError` that names it.
+
+    h5py has no error class of its own, and what a file of other origin holds may fit nothing that is read.
+    """
+    try:
+        yield
+    except (ArtifactError, MemoryError):
+        raise
+    except UnusableFileError as error:
+        raise ArtifactError(f"{path}: no artifact of this program: {error}; {_REMEDY}") from error
+    except Exception as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ArtifactError(
+            f"{path}: {what} is damaged, or is not what its stage writes ({reason}); {_REMEDY}"
+        ) from error
 
 
 def settings_digest(settings: Mapping[str, Any]) -> str:
@@ -182,6 +242,7 @@ def _write_file(
     with h5py.File(target, "w", libver=_LIBVER, track_order=True) as file:
         for name, dataset in datasets.items():
             _write_dataset(file, name, dataset)
+        file.flush()
         digest = content_digest(file, metadata)
         file.attrs.update(
             {
@@ -234,13 +295,12 @@ def _chunk_shape(data: npt.NDArray[Any]) -> tuple[int, ...]:
 def content_digest(file: h5py.File, metadata: Mapping[str, Any]) -> str:
     """SHA-256 over metadata and the names, shapes, dtypes and bytes of all datasets."""
     sha = hashlib.sha256(canonical_json(metadata).encode())
-    names: list[str] = []
-    file.visititems(lambda name, node: names.append(name) if isinstance(node, h5py.Dataset) else None)
-    for name in sorted(names):
+    file_bytes = Path(file.filename).stat().st_size
+    for name in dataset_names(file, file_bytes):
         node = file[name]
         sha.update(f"\0{name}\0{node.shape}\0{node.dtype.str}\0".encode())
-        if h5py.check_string_dtype(node.dtype):
-            for text in node[...]:
+        if node.dtype.kind == "O":
+            for text in read_text(node, file_bytes):
                 sha.update(text + b"\0")
         else:
             sha.update(np.ascontiguousarray(node[...]).tobytes())
@@ -248,36 +308,46 @@ def content_digest(file: h5py.File, metadata: Mapping[str, Any]) -> str:
 
 
 @contextlib.contextmanager
-def open_artifact(path: Path, stage: str | None = None) -> Iterator[Artifact]:
-    """Open an artifact for reading, after checking that it is complete and of the expected stage."""
+def open_artifact(path: Path, *stages: str) -> Iterator[Artifact]:
+    """Open an artifact for reading, after checking that it is complete and of one of the stages, if given."""
     if not path.exists():
         raise ArtifactError(f"{path}: no such artifact; run the campaign, which makes what is missing")
+    if not path.is_file():
+        raise ArtifactError(f"{path}: not a file, expected an artifact; remove it and run the campaign again")
     try:
         file = h5py.File(path, "r", locking="best-effort")
     except OSError as error:
         raise ArtifactError(f"{path}: not a readable HDF5 file ({error}); {_REMEDY}") from error
     with file:
-        attrs = file.attrs
-        if attrs.get("complete") != 1:
-            raise ArtifactError(f"{path}: incomplete or not a warmlens artifact; {_REMEDY}")
-        if attrs["schema_version"] != SCHEMA_VERSION:
-            raise ArtifactError(
-                f"{path}: schema version {attrs['schema_version']}, this program reads {SCHEMA_VERSION}; {_REMEDY}"
-            )
-        if stage is not None and attrs["stage"] != stage:
-            raise ArtifactError(f"{path}: holds stage {attrs['stage']!r}, expected {stage!r}")
-        span = tuple(int(edge) for edge in attrs["span"])
-        yield Artifact(
-            path=path,
-            file=file,
-            stage=str(attrs["stage"]),
-            digest=str(attrs["digest"]),
-            metadata=json.loads(attrs["metadata"]),
-            settings=json.loads(attrs["settings"]),
-            inputs=json.loads(attrs["inputs"]),
-            span=(span[0], span[1]) if span else None,
-            wall_seconds=float(attrs["wall_seconds"]),
-        )
+        with reading(path):
+            artifact = _checked(path, file)
+        if stages and artifact.stage not in stages:
+            expected = " or ".join(map(repr, stages))
+            raise ArtifactError(f"{path}: holds stage {artifact.stage!r}, expected {expected}")
+        yield artifact
+
+
+def _checked(path: Path, file: h5py.File) -> Artifact:
+    """Check the header and what the file consists of."""
+    if "complete" not in file.attrs or number_attribute(file, "complete") != 1:
+        raise ArtifactError(f"{path}: incomplete or not a warmlens artifact; {_REMEDY}")
+    version = number_attribute(file, "schema_version")
+    if version != SCHEMA_VERSION:
+        raise ArtifactError(f"{path}: schema version {version:g}, this program reads {SCHEMA_VERSION}; {_REMEDY}")
+    for name in _DESCRIPTIVE:
+        text_attribute(file, name)
+    return Artifact(
+        path=path,
+        file=file,
+        names=dataset_names(file, path.stat().st_size),
+        stage=text_attribute(file, "stage"),
+        digest=text_attribute(file, "digest"),
+        metadata=json_attribute(file, "metadata", lambda content: _Recorded(path, content)),
+        settings=json_attribute(file, "settings"),
+        inputs=inputs_attribute(file, "inputs"),
+        span=span_attribute(file, "span"),
+        wall_seconds=number_attribute(file, "wall_seconds"),
+    )
 
 
 def input_digest(path: Path) -> str:
@@ -285,25 +355,7 @@ def input_digest(path: Path) -> str:
     if path.suffix == ".h5":
         with open_artifact(path) as artifact:
             return artifact.digest
+    if not path.is_file():
+        raise ArtifactError(f"{path}: not a file")
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()
-
-
-@cache
-def code_commit() -> tuple[str, bool]:
-    """Git commit of the running code and whether it was changed since; ("unknown", False) outside git."""
-    folder = Path(__file__).parent
-
-    def git(*arguments: str) -> str | None:
-        command = ["git", "-C", str(folder), *arguments]
-        try:
-            done = subprocess.run(command, capture_output=True, text=True, check=False)
-        except FileNotFoundError:
-            return None
-        return done.stdout.strip() if done.returncode == 0 else None
-
-    commit = git("rev-parse", "HEAD")
-    tracked = git("ls-files", "--", str(folder / "artifacts.py"))
-    if not commit or not tracked:
-        return "unknown", False
-    return commit, bool(git("status", "--porcelain", "--", str(folder)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,6 +41,19 @@ def draw_parameters(
     upper = np.array([m_th_kev[1], log10_m_halo_msun[1]])
     theta = lower + (upper - lower) * uniforms
     return Parameters(ids, theta[:, 0], theta[:, 1])
+
+
+def grid_parameters(span: Span, m_th_kev: Sequence[float], log10_m_halo_msun: Sequence[float]) -> Parameters:
+    """Parameters of samples start..stop-1 of a grid.
+
+    All nodes come once, relic mass fastest, before the next realization begins: more realizations
+    leave the samples before them as they are.
+    """
+    ids = np.arange(*span)
+    halo, relic = np.divmod(ids % (len(m_th_kev) * len(log10_m_halo_msun)), len(m_th_kev))
+    return Parameters(
+        ids, np.array(m_th_kev, dtype=np.float64)[relic], np.array(log10_m_halo_msun, dtype=np.float64)[halo]
+    )
 
 
 def chunk_spans(n: int, size: int) -> list[Span]:

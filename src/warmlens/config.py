@@ -17,10 +17,16 @@ from warmlens.config_types import (
     NonNegative,
     Point,
     Positive,
+    ResultsFolder,
     same_length,
 )
 
 BRANCHING_SETS = ("pch08", "benson17", "pch_plus")
+MAX_IN_FILE_NAMES = 9_999_999  # samples and positions: names of chunks and shards have seven digits
+MAX_PORTIONS = 10_000  # chunks or shards: Snakemake needs hours for more
+MAX_SIDE = 4096  # pixels of an image
+ImageSide = Annotated[int, Field(ge=16, le=MAX_SIDE)]
+MIN_STEP_ARCSEC = 1e-4
 
 
 def _branching(value: object) -> object:
@@ -32,12 +38,61 @@ def _branching(value: object) -> object:
     return tuple(value) if isinstance(value, list) else value
 
 
+class GridBlock(Block):
+    """Nodes of a grid campaign: every relic mass with every halo mass, each realized so many times."""
+
+    m_th_kev: Annotated[list[Positive], Field(min_length=2)]
+    log10_m_halo_msun: Annotated[list[Finite], Field(min_length=2)]
+    realizations: Annotated[int, Field(ge=1)]
+
+    @model_validator(mode="after")
+    def _order(self) -> GridBlock:
+        for name in ("m_th_kev", "log10_m_halo_msun"):
+            values = getattr(self, name)
+            if any(low >= high for low, high in pairwise(values)):
+                raise ValueError(f"{name} must rise from value to value, got {values}")
+        return self
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.m_th_kev) * len(self.log10_m_halo_msun)
+
+
 class CampaignBlock(Block):
     """What is sampled, and in which portions."""
 
     seed: Annotated[int, Field(ge=0)]
-    n_samples: Annotated[int, Field(ge=1)]
-    chunk_size: Annotated[int, Field(ge=1)]
+    n_samples: Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
+    chunk_size: Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
+    design: Literal["prior", "grid"] = "prior"
+    grid: GridBlock | None = None
+
+    @model_validator(mode="after")
+    def _portions(self) -> CampaignBlock:
+        n_chunks = -(-self.n_samples // self.chunk_size)
+        if n_chunks > MAX_PORTIONS or n_chunks * self.chunk_size > MAX_IN_FILE_NAMES:
+            raise ValueError(
+                f"n_samples = {self.n_samples} in chunks of {self.chunk_size} are {n_chunks} chunks up to sample "
+                f"{n_chunks * self.chunk_size}; at most are {MAX_PORTIONS} chunks and {MAX_IN_FILE_NAMES} samples"
+            )
+        return self
+
+    @model_validator(mode="after")
+    def _design(self) -> CampaignBlock:
+        if self.design == "prior":
+            if self.grid is not None:
+                raise ValueError("grid is given with design: prior; set design: grid or remove the block 'grid'")
+            return self
+        if self.grid is None:
+            raise ValueError("design: grid needs the block 'grid'")
+        wanted = self.grid.n_nodes * self.grid.realizations
+        if self.n_samples != wanted:
+            raise ValueError(
+                f"n_samples = {self.n_samples}, but the grid has {self.grid.n_nodes} nodes x "
+                f"{self.grid.realizations} realizations = {wanted}; set n_samples: {wanted}"
+            )
+        return self
 
 
 class CosmologyBlock(Block):
@@ -157,9 +212,9 @@ class TruthBlock(Block):
 class SimulatedBlock(Block):
     """The embedded observation: an RXJ1131-like lens whose substructure is drawn by the halo stage."""
 
-    shape: tuple[Annotated[int, Field(ge=16)], Annotated[int, Field(ge=16)]]
+    shape: tuple[ImageSide, ImageSide]
     pixel_scale_arcsec: Positive
-    psf_pixels: Annotated[int, Field(ge=3)]
+    psf_pixels: Annotated[int, Field(ge=3, le=MAX_SIDE)]
     supersampling: Annotated[int, Field(ge=1, le=8)]
     truth: TruthBlock
     lens: LensBlock
@@ -181,6 +236,9 @@ class SimulatedBlock(Block):
                 band.lens_light_amplitudes,
             )
         return self
+
+
+FITS_FILES = ("science", "psf", "mask", "sigma", "weight")  # keys of FitsBandBlock that name a file
 
 
 class FitsBandBlock(Block):
@@ -210,15 +268,23 @@ class FitsBandBlock(Block):
 class ObservationBlock(Block):
     """Where the observed image comes from."""
 
-    kind: Literal["simulated", "fits"]
+    kind: Literal["simulated", "fits", "artifact"]
     bands: Annotated[list[BandName], Field(min_length=1)]
     simulated: SimulatedBlock | None = None
     fits: dict[BandName, FitsBandBlock] | None = None
+    # not written when it is not used, so that the settings of other kinds stay what they were
+    artifact: Annotated[str, Field(min_length=1)] | None = Field(
+        default=None, exclude_if=lambda path: path is None
+    )
 
     @model_validator(mode="after")
     def _bands(self) -> ObservationBlock:
         if len(set(self.bands)) != len(self.bands):
             raise ValueError(f"bands {self.bands} names a band twice")
+        if self.kind == "artifact":  # its bands are known when it is read
+            if self.artifact is None:
+                raise ValueError("kind: artifact needs the key 'artifact', the observation.h5 of another campaign")
+            return self
         known = self.fits if self.kind == "fits" else self.simulated and self.simulated.bands
         if known is None:
             raise ValueError(f"kind: {self.kind} needs the block '{self.kind}'")
@@ -286,7 +352,7 @@ class ScanBlock(Block):
     step_arcsec: Positive
     window_arcsec: tuple[Positive, Positive] | None
     center: Point
-    shard_size: Annotated[int, Field(ge=1)]
+    shard_size: Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
     residual_samples: list[Annotated[int, Field(ge=0)]] = Field(default=[])
     statistics: list[Literal["delta_r", "amplitude"]] = Field(default=["delta_r"])
     sensitivity: SensitivityBlock | None = None
@@ -303,7 +369,11 @@ class ScanBlock(Block):
 
     @model_validator(mode="after")
     def _window(self) -> ScanBlock:
+        if self.step_arcsec < MIN_STEP_ARCSEC:
+            raise ValueError(f"step_arcsec {self.step_arcsec:g} must be at least {MIN_STEP_ARCSEC:g}")
         for side in self.window_arcsec or ():
+            if side / self.step_arcsec > MAX_IN_FILE_NAMES:
+                raise ValueError(f"window_arcsec {side:g} holds too many steps of {self.step_arcsec:g} arcsec")
             if side < self.step_arcsec:
                 raise ValueError(f"window_arcsec {side:g} is smaller than step_arcsec {self.step_arcsec:g}")
         if self.window_arcsec is None and self.center != (0.0, 0.0):
@@ -320,17 +390,29 @@ class SummariesBlock(Block):
     max_separation_arcsec: Positive
     cumulative_min: Annotated[float, Field(lt=0, allow_inf_nan=False)]
     cumulative_bins: Annotated[int, Field(ge=2)]
+    count_thresholds: Annotated[list[Annotated[float, Field(lt=0, allow_inf_nan=False)]], Field(min_length=1)] = (
+        Field(default=[-25.0, -10.0, -4.0])
+    )
 
     @model_validator(mode="after")
     def _order(self) -> SummariesBlock:
         if self.cumulative_min >= self.threshold:
             raise ValueError(f"cumulative_min {self.cumulative_min:g} must be below threshold {self.threshold:g}")
+        if any(low >= high for low, high in pairwise(self.count_thresholds)):
+            raise ValueError(f"count_thresholds must rise from value to value, got {self.count_thresholds}")
         return self
 
 
-class AbcBlock(Block):
-    """Acceptance and bound."""
+class NullTestBlock(Block):
+    """Mocks without substructure that go through every step; 0: no null test."""
 
+    n_mocks: Annotated[int, Field(ge=0)] = 40
+
+
+class AbcBlock(Block):
+    """Summaries, acceptance and bound."""
+
+    summaries: Literal["paper", "sharper", "learned"] = "paper"
     acceptance: Literal["max_rank", "marginal_and", "scaled_sum", "correlation", "cumulative"]
     fraction: Annotated[float, Field(gt=0, le=1)]
     distance: Literal["integral", "whitened"] = "integral"
@@ -338,11 +420,20 @@ class AbcBlock(Block):
     leave_one_out: Annotated[int, Field(ge=10)] = 1000
     max_failed_fraction: Annotated[float, Field(ge=0, lt=1)]
 
+    @model_validator(mode="after")
+    def _one_distance(self) -> AbcBlock:
+        if self.summaries != "paper" and self.acceptance in ("correlation", "cumulative"):
+            raise ValueError(
+                f"acceptance: {self.acceptance} is a distance of summaries: paper; with summaries: "
+                f"{self.summaries} use max_rank, marginal_and or scaled_sum"
+            )
+        return self
+
 
 class Config(Block):
     """The whole configuration of a campaign."""
 
-    results: Annotated[str, Field(min_length=1)]
+    results: ResultsFolder
     campaign: CampaignBlock
     cosmology: CosmologyBlock
     redshifts: RedshiftBlock
@@ -354,7 +445,19 @@ class Config(Block):
     mocks: MocksBlock = MocksBlock()
     scan: ScanBlock
     summaries: SummariesBlock
+    null_test: NullTestBlock = NullTestBlock()
     abc: AbcBlock
+
+    @model_validator(mode="after")
+    def _grid_within_ranges(self) -> Config:
+        for name in ("m_th_kev", "log10_m_halo_msun") if self.campaign.grid is not None else ():
+            low, high = getattr(self.dark_matter, name)
+            outside = [value for value in getattr(self.campaign.grid, name) if not low <= value <= high]
+            if outside:
+                raise ValueError(
+                    f"campaign.grid.{name} {outside} lie outside dark_matter.{name} = [{low:g}, {high:g}]"
+                )
+        return self
 
     @model_validator(mode="after")
     def _consistent(self) -> Config:
@@ -364,9 +467,14 @@ class Config(Block):
                 f"scan.residual_samples {beyond} do not exist: campaign.n_samples = {self.campaign.n_samples}, "
                 "samples are counted from 0"
             )
+        if self.abc.summaries == "sharper" and "amplitude" not in self.scan.statistics:
+            raise ValueError(
+                "abc.summaries: sharper needs the linear response of the scan; set scan.statistics: "
+                "[delta_r, amplitude]"
+            )
         if self.scan.marginalise_lens and self.smooth_model.mode == "given":
             raise ValueError(
                 "scan.marginalise_lens needs the errors of the lens, which smooth_model.mode: given has not; "
-                "use mode: fit"
+                "use mode: fit, or set it to false"
             )
         return self

@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import os
+import reprlib
 import string
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import ValidationError
 
 from warmlens.config import Config
-
-
-class ConfigError(ValueError):
-    """Problems of a configuration, one line each, every line beginning with the key."""
-
-    def __init__(self, problems: Sequence[str]) -> None:
-        self.problems = list(problems)
-        super().__init__("\n".join(self.problems))
+from warmlens.config_types import ConfigError, plain_path
+from warmlens.config_yaml import read_yaml
 
 
 def parse_config(raw: Mapping[str, Any]) -> Config:
@@ -39,7 +34,7 @@ def _problem(item: Mapping[str, Any]) -> str:
             return f"{key}: missing; config.yaml shows an example"
         case "value_error":
             return f"{key}: {item['ctx']['error']}"
-    return f"{key}: {_lower(item['msg'])}, got {item['input']!r}"
+    return f"{key}: {_lower(item['msg'])}, got {reprlib.repr(item['input'])}"
 
 
 def _lower(text: str) -> str:
@@ -50,34 +45,42 @@ def load_config(paths: Sequence[Path]) -> Config:
     """Read config.yaml and overlays (later files win, mappings are merged, lists replaced); validate."""
     merged: dict[str, Any] = {}
     for path in paths:
-        try:
-            layer = yaml.safe_load(path.read_text())
-        except FileNotFoundError:
-            raise ConfigError([f"{path}: no such file"]) from None
-        except yaml.YAMLError as error:
-            raise ConfigError([f"{path}: not valid YAML: {' '.join(str(error).split())}"]) from None
-        if not isinstance(layer, dict):
-            raise ConfigError([f"{path}: expected a mapping of keys, found {type(layer).__name__}"])
-        merged = _merge(merged, layer)
+        merged = merge(merged, read_yaml(path))
     return parse_config(merged)
 
 
-def _merge(base: Mapping[str, Any], layer: Mapping[str, Any]) -> dict[str, Any]:
+def read_stored(path: Path) -> Config:
+    """Read the configuration that a campaign left in its results folder, as JSON."""
+    try:
+        raw = json.loads(path.read_text())
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError([f"{path}: not readable as JSON ({error}); start the campaign again"]) from None
+    if not isinstance(raw, dict):
+        raise ConfigError([f"{path}: expected a JSON object, found {type(raw).__name__}"])
+    return parse_config(raw)
+
+
+def merge(base: Mapping[str, Any], layer: Mapping[str, Any]) -> dict[str, Any]:
+    """Lay `layer` over `base`: mappings are merged, everything else is replaced."""
     merged = dict(base)
     for key, value in layer.items():
         both_maps = isinstance(value, Mapping) and isinstance(merged.get(key), Mapping)
-        merged[key] = _merge(merged[key], value) if both_maps else value
+        merged[key] = merge(merged[key], value) if both_maps else value
     return merged
 
 
 def expand_path(text: str) -> Path:
     """Replace environment variables in a path of the configuration; an unset variable is an error."""
     try:
-        return Path(string.Template(text).substitute(os.environ)).expanduser()
+        expanded = string.Template(text).substitute(os.environ)
     except KeyError as error:
         variable = error.args[0]
         raise ConfigError(
             [f"{text}: the environment variable {variable} is not set; set it to the folder with the data"]
         ) from None
     except ValueError as error:
-        raise ConfigError([f"{text}: {error}; write $NAME or ${{NAME}}"]) from None
+        raise ConfigError([f"{text}: {error}; write $NAME or ${{NAME}}, and $$ for a dollar sign"]) from None
+    try:
+        return Path(plain_path(expanded)).expanduser()
+    except (ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user who is not known
+        raise ConfigError([f"{text!r}: {error}"]) from None

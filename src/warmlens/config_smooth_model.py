@@ -2,11 +2,21 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, model_validator
 
-from warmlens.config_types import Block, Finite, Fraction, Interval, NonNegative, Point, Positive, same_length
+from warmlens.config_types import (
+    Block,
+    Finite,
+    Fraction,
+    Interval,
+    ModelKwargs,
+    NonNegative,
+    Point,
+    Positive,
+    same_length,
+)
 
 
 class ClumpsBlock(Block):
@@ -32,7 +42,7 @@ class LensBlock(Block):
     """A lens in lenstronomy's names: `lens_model_list` and `kwargs_lens`."""
 
     lens_model_list: list[str]
-    kwargs_lens: list[dict[str, Any]]
+    kwargs_lens: list[ModelKwargs]
 
     @model_validator(mode="after")
     def _lengths(self) -> LensBlock:
@@ -44,7 +54,7 @@ class LensLightBlock(Block):
     """Light of the lens in lenstronomy's names, without `amp`: amplitudes are linear, free per band."""
 
     lens_light_model_list: list[str]
-    kwargs_lens_light: list[dict[str, Any]]
+    kwargs_lens_light: list[ModelKwargs]
 
     @model_validator(mode="after")
     def _lengths(self) -> LensLightBlock:

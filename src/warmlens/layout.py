@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from warmlens.campaign import Span, chunk_spans, shard_spans, span_name
-from warmlens.config import Config
+from warmlens.config import MAX_IN_FILE_NAMES, MAX_PORTIONS, Config
+from warmlens.config_types import ConfigError
 from warmlens.scan.raster import Raster
 
 SINGLE = {
@@ -14,9 +15,14 @@ SINGLE = {
     "scan_design": "scan_operator/design.h5",
     "observed_scan": "observed_scan.h5",
     "observed_summary": "observed_summary.h5",
+    "null_mocks": "null/mocks.h5",
+    "null_scans": "null/scans.h5",
+    "null_summaries": "null/summaries.h5",
     "abc": "abc.h5",
+    "exclusion": "exclusion.h5",
 }
 CHUNKED = ("halos", "deflections", "mocks", "scans", "summaries")
+NULL = ("null_mocks", "null_scans", "null_summaries")
 FIGURES = (
     "smooth_model",
     "psf",
@@ -27,11 +33,21 @@ FIGURES = (
     "scan_plane",
     "correlation",
     "posterior",
+    "likelihood",
+    "calibration",
+    "convergence",
+    "predictive",
+    "information",
 )
-FIGURE_VERSION = 3  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
+FIGURE_VERSION = 4  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
 CONFIG = "config.json"
 TABLE = "abc.csv"
 NUMBERS = "abc.json"
+REPORT = "report.html"
+REPORT_VERSION = 1  # raise it when the report says more or other things: finished campaigns then make theirs anew
+EXCLUSION_TABLE = "exclusion.csv"
+EXCLUSION_NUMBERS = "exclusion.json"
+ANSWER_FILES = {"abc": (TABLE, NUMBERS), "exclusion": (EXCLUSION_TABLE, EXCLUSION_NUMBERS)}  # beside the artifact
 
 
 def chunks(config: Config) -> list[Span]:
@@ -41,7 +57,15 @@ def chunks(config: Config) -> list[Span]:
 
 def shards(config: Config) -> list[Span]:
     """Spans of scan positions, one a shard of the operator."""
-    return shard_spans(_n_positions(config), config.scan.shard_size)
+    n_positions, size = _n_positions(config), config.scan.shard_size
+    if n_positions > MAX_IN_FILE_NAMES or n_positions > size * MAX_PORTIONS:
+        raise ConfigError(
+            [
+                f"scan: {n_positions} positions in shards of {size}; at most are {MAX_IN_FILE_NAMES} positions "
+                f"and {MAX_PORTIONS} shards; raise step_arcsec or shard_size, or narrow the window"
+            ]
+        )
+    return shard_spans(n_positions, size)
 
 
 def _n_positions(config: Config) -> int:
@@ -56,8 +80,10 @@ def _n_positions(config: Config) -> int:
 
 
 def stage_files(config: Config, stage: str) -> list[Path]:
-    """All artifacts of one stage."""
+    """All artifacts of one stage; none of a null test that is switched off."""
     root = Path(config.results)
+    if stage in NULL and not config.null_test.n_mocks:
+        return []
     if stage in SINGLE:
         return [root / SINGLE[stage]]
     if stage == "scan_operator":
@@ -65,3 +91,13 @@ def stage_files(config: Config, stage: str) -> list[Path]:
     if stage in CHUNKED:
         return [root / f"{stage}/chunk-{span_name(span)}.h5" for span in chunks(config)]
     raise ValueError(f"unknown stage {stage!r}")
+
+
+def sample_page(sample: int) -> str:
+    """Path of the page of a sample under the results folder."""
+    return f"samples/sample-{sample:07d}.html"
+
+
+def results_folder(path: Path, stage: str) -> Path:
+    """Results folder that the artifact `path` of a stage lies in."""
+    return path.parents[SINGLE.get(stage, f"{stage}/chunk").count("/")]

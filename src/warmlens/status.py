@@ -11,9 +11,10 @@ from rich.table import Table
 
 from warmlens.artifacts import ArtifactError, open_artifact
 from warmlens.config import Config
-from warmlens.config_file import parse_config
-from warmlens.layout import CHUNKED, CONFIG, stage_files
-from warmlens.stages.settings import STAGES
+from warmlens.config_file import read_stored
+from warmlens.layout import CHUNKED, CONFIG, NULL, stage_files
+from warmlens.report.text import duration
+from warmlens.stages.settings import campaign_stages
 
 
 @dataclass(frozen=True)
@@ -38,27 +39,27 @@ class StageStatus:
 
 def read_campaign(results: Path) -> Config:
     """Configuration of the last run into a results folder, whose artifacts are looked for there."""
-    import json
-
     path = results / CONFIG
     if not path.is_file():
         raise ArtifactError(
             f"{path}: no such file; is {results} the results folder of a campaign that was started?"
         )
-    return parse_config(json.loads(path.read_text())).model_copy(update={"results": str(results)})
+    return read_stored(path).model_copy(update={"results": str(results)})
 
 
 def campaign_status(config: Config) -> list[StageStatus]:
     """Status of every stage, from the artifacts that are there."""
     found = []
-    for stage in STAGES:
+    for stage in campaign_stages(config):
         files = stage_files(config, stage)
+        if not files:  # a null test that is switched off
+            continue
         done = [path for path in files if path.exists()]
         seconds, samples, failed = [], 0, 0
         for path in done:
             with open_artifact(path, stage) as artifact:
                 seconds.append(artifact.wall_seconds)
-                if stage in CHUNKED:
+                if stage in (*CHUNKED, *NULL):
                     bad = artifact.array("samples/status") != 0
                     samples += int((~bad).sum())
                     failed += int(bad.sum())
@@ -67,12 +68,20 @@ def campaign_status(config: Config) -> list[StageStatus]:
                 stage,
                 len(done),
                 len(files),
-                samples if stage in CHUNKED else None,
+                samples if stage in (*CHUNKED, *NULL) else None,
                 failed,
                 float(np.mean(seconds)) if seconds else None,
             )
         )
     return found
+
+
+def progress_line(stages: list[StageStatus], cores: int) -> str:
+    """How far a campaign is, in one line: stages under way, and the time left on a number of cores."""
+    begun = [row for row in stages if 0 < row.n_done < row.n_files]
+    parts = [f"{row.stage} {row.n_done} of {row.n_files}" for row in begun]
+    done, total = sum(row.n_done for row in stages), sum(row.n_files for row in stages)
+    return "; ".join([f"{done} of {total} artifacts", *parts, _time_left(stages, cores)])
 
 
 def print_status(stages: list[StageStatus], cores: int) -> None:
@@ -86,19 +95,15 @@ def print_status(stages: list[StageStatus], cores: int) -> None:
             "" if row.n_samples is None else str(row.n_samples),
             str(row.n_failed) if row.n_failed else "",
             "" if row.seconds is None else f"{row.seconds:.1f}",
-            "unknown" if left is None else _duration(left),
+            "unknown" if left is None else duration(left),
         )
     console = Console()
     console.print(table)
+    console.print(_time_left(stages, cores))
+
+
+def _time_left(stages: list[StageStatus], cores: int) -> str:
     known = sum(row.seconds_left or 0.0 for row in stages)
     unknown = [row.stage for row in stages if row.seconds_left is None]
-    text = f"about {_duration(known / cores)} left on {cores} cores"
-    console.print(text + (f", and {', '.join(unknown)}, not yet timed" if unknown else ""))
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    hours, minutes = divmod(minutes, 60)
-    if hours:
-        return f"{hours} h {minutes:02d} min"
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+    left = f"{duration(known / cores)} left on {cores} cores"
+    return f"more than {left} ({', '.join(unknown)} not yet timed)" if unknown else f"about {left}"

@@ -9,7 +9,7 @@ from warmlens.inference.distance import (
     integral_features,
     ledoit_wolf,
     squared_distances,
-    whitened_features,
+    whitening,
 )
 
 DR = np.linspace(0.0, 2.5, 51)
@@ -72,16 +72,22 @@ def test_whitening_is_without_scale_and_correlation():
     rng = np.random.default_rng(3)
     mixing = rng.random((6, 6))
     rows, observed = rng.standard_normal((5000, 6)) @ mixing, rng.standard_normal(6) @ mixing
-    white, white_observed = whitened_features(rows, observed)
+    white, white_observed = (whitening(rows, observed)(values) for values in (rows, observed))
     np.testing.assert_allclose(np.cov(white.T), np.eye(6), atol=0.25)
-    scaled, scaled_observed = whitened_features(rows * [1e6, 1, 1, 1e-6, 1, 1], observed * [1e6, 1, 1, 1e-6, 1, 1])
+    units = np.array([1e6, 1, 1, 1e-6, 1, 1])
+    scaled, scaled_observed = (whitening(rows * units, observed * units)(v * units) for v in (rows, observed))
     np.testing.assert_allclose(
         squared_distances(white_observed[None], white), squared_distances(scaled_observed[None], scaled), rtol=1e-6
     )
     constant = np.column_stack([rows, np.zeros(5000)])
-    again, again_observed = whitened_features(constant, np.append(observed, 0.0))
+
+    def whitened(target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        change = whitening(constant, target)
+        return change(constant), change(target)
+
+    again, again_observed = whitened(np.append(observed, 0.0))
     assert again.shape == (5000, 6)
-    outlier, outlier_observed = whitened_features(constant, np.append(observed, 9.0))
+    outlier, outlier_observed = whitened(np.append(observed, 9.0))
     assert (
         squared_distances(outlier_observed[None], outlier).min()
         > squared_distances(again_observed[None], again).min()

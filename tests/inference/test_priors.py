@@ -12,9 +12,15 @@ from warmlens.inference.table import Table
 
 def table(n=20_000, halo=(13.0, 13.5), seed=1):
     rng = np.random.default_rng(seed)
-    features = (np.zeros((n, 2)),)
+    features = np.zeros((n, 2)), np.zeros((n, 1))
     return Table(
-        np.arange(n), rng.uniform(1.0, 5.0, n), rng.uniform(*halo, n), (1.0, 5.0), halo, features, (np.zeros(2),)
+        np.arange(n),
+        rng.uniform(1.0, 5.0, n),
+        rng.uniform(*halo, n),
+        (1.0, 5.0),
+        halo,
+        features,
+        (np.zeros(2), np.zeros(1)),
     )
 
 

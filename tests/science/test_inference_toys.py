@@ -16,6 +16,7 @@ from warmlens.inference.checks import cloud_check
 from warmlens.inference.convergence import threshold_convergence
 from warmlens.inference.information import information
 from warmlens.inference.table import Table
+from warmlens.summaries.learned import learned_summaries
 
 PRIOR, HALO = (1.0, 5.0), (13.0, 13.5)
 SIGMA, HALO_SIGMA = 0.6, 0.1
@@ -184,6 +185,32 @@ def test_monte_carlo_error_is_the_scatter_over_independent_tables() -> None:
         found.append((bound.value_kev, bound.mc_error_kev))
     values, errors = np.array(found).T
     assert 0.8 < errors.mean() / values.std(ddof=1) < 1.2
+
+
+@pytest.mark.parametrize("cross_fitted", [True, False])
+def test_learned_summaries_keep_the_calibration_honest(cross_fitted: bool) -> None:
+    """Few samples, many summaries, little signal: only predictions of models that saw a sample look good."""
+    rng = np.random.default_rng(11)
+    n, p = 1000, 250
+    base = toy(n, 11)
+    everything = rng.standard_normal((n, p))
+    everything[:, 0] += 0.5 * base.m_kev
+    if cross_fitted:
+        learned = learned_summaries(base.parameters, everything, everything[0], rng).samples
+    else:  # a wrong twin
+        design = np.column_stack([np.ones(n), everything])
+        learned = design @ np.linalg.lstsq(design, base.parameters, rcond=None)[0]
+    features = learned[:, [0]], learned[:, [1]]
+    table = dataclasses.replace(base, features=features, observed=tuple(rows[0] for rows in features))
+    trials = leave_one_out(table, "max_rank", 0.1, 600, rng)
+    gain = information(table.m_kev, PRIOR, trials, rng)
+    fair = leave_one_out(
+        dataclasses.replace(table, features=(everything[:, :1], features[1])), "correlation", 0.1, 600, rng
+    )
+    best = information(table.m_kev, PRIOR, fair, rng)  # what the one summary that tells has to say
+    if cross_fitted:
+        assert calibrated(trials)
+    assert (gain.gain_nats < best.gain_nats + 2.0 * best.gain_error_nats) == cross_fitted
 
 
 def test_threshold_convergence_is_said_when_it_is_there() -> None:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -22,17 +23,29 @@ SUMMARIES = {"scan": {"statistics": ["delta_r"]}}
 PRIOR = DarkMatterBlock(m_th_kev=(1.0, 5.0), log10_m_halo_msun=(13.0, 13.5))
 
 
-def _summary(m: np.ndarray, correlation: float = 1.0) -> dict[str, Dataset]:
+def _paper(m: np.ndarray, correlation: float = 1.0) -> dict[str, Dataset]:
     """Summaries that are the relic mass itself, so that the nearest samples are known."""
     m = np.asarray(m, dtype=float)
     lead = ("sample",) * m.ndim
     return {
         "combined/correlation": Dataset(correlation * m[..., None] * np.ones(6), "", (*lead, "separation"), ""),
         "combined/cumulative": Dataset(m[..., None] * np.ones(5), "", (*lead, "threshold"), ""),
-        "combined/n_below": Dataset(np.round(10.0 * m), "", lead, ""),
+        "combined/counts": Dataset(np.round(m[..., None] * [1.0, 10.0]), "", (*lead, "count threshold"), ""),
         "combined/chi2": Dataset(100.0 + 0.0 * m, "", lead, ""),
         "separation": Dataset(DR, "arcsec", ("separation",), ""),
         "thresholds": Dataset(THRESHOLDS, "", ("threshold",), ""),
+        "count_thresholds": Dataset(np.array([-10.0, -4.0]), "", ("count threshold",), ""),
+    }
+
+
+def _response(m: np.ndarray) -> dict[str, Dataset]:
+    """A linear response that tells of the relic mass too."""
+    m = np.asarray(m, dtype=float)
+    lead = ("sample",) * m.ndim
+    wave = m[..., None] * np.arange(1.0, 7.0) + np.sin(50.0 * m)[..., None]
+    return {
+        "combined/mean_z2": Dataset(1.0 + m, "", lead, ""),
+        "combined/amplitude_correlation": Dataset(wave, "", (*lead, "separation"), ""),
     }
 
 
@@ -43,10 +56,20 @@ def _campaign(
     observed: float = 4.0,
     correlation: float = 1.0,
     noise: float = 0.0,
+    null: tuple[float, ...] = (),
+    response: bool = False,
+    constant: dict[str, float] | None = None,
 ) -> dict[str, object]:
+    settings = {"scan": {"statistics": ["delta_r", "amplitude"]}} if response else SUMMARIES
+
+    def _summary(m: np.ndarray, correlation: float = 1.0) -> dict[str, Dataset]:
+        return _paper(m, correlation) | (_response(m) if response else {})
+
     chunks = []
     for start in range(0, n, CHUNK):
         table = SampleTable(draw_parameters(1, (start, start + CHUNK), *PRIOR.model_dump().values()))
+        same = {name: np.full(CHUNK, value) for name, value in (constant or {}).items()}
+        table.parameters = dataclasses.replace(table.parameters, **same)
         m = table.parameters.m_th_kev.copy()
         m += noise * np.random.default_rng(start).standard_normal(CHUNK)
         for row in range(CHUNK):
@@ -54,10 +77,15 @@ def _campaign(
                 table.status[row], table.message[row], m[row] = FAILED_HERE, "mocks: broken", np.nan
         chunks.append(folder / f"chunk-{start}.h5")
         write_artifact(
-            chunks[-1], Provenance("summaries", SUMMARIES), {**table.datasets(), **_summary(m, correlation)}, {}
+            chunks[-1], Provenance("summaries", settings), {**table.datasets(), **_summary(m, correlation)}, {}
         )
     seen = _summary(np.array(observed), correlation)
-    write_artifact(folder / "observed.h5", Provenance("observed_summary", SUMMARIES), seen, {})
+    write_artifact(folder / "observed.h5", Provenance("observed_summary", settings), seen, {})
+    if null:
+        table = SampleTable.without_substructure(len(null))
+        table.status[np.isnan(null)] = FAILED_HERE
+        mocks = {**table.datasets(), **_summary(np.array(null), correlation)}
+        write_artifact(folder / "null.h5", Provenance("null_summaries", settings), mocks, {})
     smooth = {"warnings": ["F814W: chi2_red = 3"]}
     write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, smooth)
     return {
@@ -67,6 +95,7 @@ def _campaign(
         "output": folder / "abc.h5",
         "table_csv": folder / "abc.csv",
         "numbers_json": folder / "abc.json",
+        "null_summaries": folder / "null.h5" if null else None,
     }
 
 
@@ -163,7 +192,10 @@ def test_every_number_is_in_the_json_too(tmp_path: Path) -> None:
     ):
         assert word in text
     assert found["quotable"]
-    assert set(found["summary_sets"]) == {"paper", "correlation", "cumulative", "learned", "learned_m"}
+    assert list(found["summary_sets"]) == ["paper", "correlation", "cumulative", "sharper", "learned", "learned_m"]
+    assert found["summary_sets"]["sharper"]["kinds"] == ["counts"]  # there is no linear response
+    assert found["null_test"] is None
+    assert found["observation_among_samples"]["positions_below_-4"]["observed"] == 32.0
     assert [case["n_lenses"] for case in found["forecast"][:6]] == [1, 2, 4, 8, 16, 32]
     one = found["forecast"][0]["median_kev"]
     assert one == pytest.approx(found["expected_limit"]["quantiles_kev"][2], abs=0.25)
@@ -214,6 +246,14 @@ def test_a_correlation_function_that_is_zero_everywhere_is_not_a_normal_bound(tm
     assert found["n_ties"] > 0
 
 
+def test_a_parameter_that_never_changes_is_not_a_normal_bound(tmp_path: Path) -> None:
+    settings = _settings(n_samples=200, abc=_block(leave_one_out=50))
+    abc.run(settings, **_campaign(tmp_path, n=200, noise=0.3, constant={"log10_m_halo_msun": 13.25}))
+    assert "all samples have the halo mass 10^13.25 Msun: nothing is marginalised" in _warnings(tmp_path)
+    with pytest.raises(ArtifactError, match=r"cannot be used: all 200 samples have m_kev = 3\.0: no bound"):
+        abc.run(settings, **_campaign(tmp_path, n=200, noise=0.3, constant={"m_th_kev": 3.0}))
+
+
 def test_ties_in_everything_say_that_there_is_no_information(tmp_path: Path) -> None:
     campaign = _campaign(tmp_path, n=300)
     for path in [*campaign["summaries"], campaign["observed_summary"]]:
@@ -221,19 +261,124 @@ def test_ties_in_everything_say_that_there_is_no_information(tmp_path: Path) -> 
             span, stage = artifact.span, artifact.stage
             arrays = {name: artifact[f"samples/{name}"][...] for name in artifact.file.get("samples", {})}
         if stage == "observed_summary":
-            write_artifact(path, Provenance(stage, SUMMARIES), _summary(np.array(0.0)), {})
+            write_artifact(path, Provenance(stage, SUMMARIES), _paper(np.array(0.0)), {})
             continue
         table = SampleTable(
             draw_parameters(1, (arrays["sample_id"][0], arrays["sample_id"][-1] + 1), *PRIOR.model_dump().values())
         )
         write_artifact(
-            path, Provenance(stage, SUMMARIES, span=span), {**table.datasets(), **_summary(np.zeros(CHUNK))}, {}
+            path, Provenance(stage, SUMMARIES, span=span), {**table.datasets(), **_paper(np.zeros(CHUNK))}, {}
         )
     abc.run(_settings(n_samples=300), **campaign)
     text = _warnings(tmp_path)
     assert "300 samples tie at the acceptance threshold" in text
     assert "all samples have the same distance in cumulative" in text
     assert "indistinguishable from the prior" in text
+
+
+def test_the_null_test_stands_beside_the_bound(tmp_path: Path) -> None:
+    """Mocks whose summaries are those of warm samples; one has failed."""
+    null = (*np.linspace(1.0, 1.6, 45), np.nan)
+    settings = _settings(n_samples=600, abc=_block(leave_one_out=150))
+    abc.run(settings, **_campaign(tmp_path, n=600, noise=0.3, observed=4.5, null=null))
+    found = json.loads((tmp_path / "abc.json").read_text())
+    test = found["null_test"]
+    assert (test["n_mocks"], test["n_failed"]) == (45, 1)
+    assert 1.0 <= test["bound_kev"]["low"] <= test["bound_kev"]["median"] <= test["bound_kev"]["high"] < 1.5
+    assert test["fraction_reaching_bound"] == 0.0
+    assert test["prior_only_kev"] == pytest.approx(1.182)
+    assert test["expected_limit_kev"] == found["expected_limit"]["quantiles_kev"][2]
+    place = test["observation_among_mocks"]["correlation_at_0"]
+    assert (place["observed"], place["rank"], place["n"]) == (4.5, 1.0, 45)
+    assert place["p_value"] == pytest.approx(2 / 46)
+    assert test["distance_p"]["correlation"] == pytest.approx(1 / 46)
+    assert "null test: 1 mocks without substructure failed and are left out" in found["warnings"]
+    assert "give a bound as high" not in _warnings(tmp_path)
+    with open_artifact(tmp_path / "abc.h5", "abc") as artifact:
+        assert "null_summaries" in artifact.inputs
+        assert artifact.array("null/sample").tolist() == list(range(45))
+        assert artifact.array("null/bounds").shape == (45, 3)
+        np.testing.assert_array_equal(artifact.array("null/correlation_at_0"), null[:45])
+        assert artifact.array("null/cumulative/quantiles").shape == (5, 5)
+    text = "\n".join(companions(found))
+    assert "from 45 mocks without substructure; the prior alone 1.18 keV, cold dark matter" in text
+    assert "100% in correlation_at_0 (p = 0.043)" in text
+
+
+def test_mocks_without_substructure_that_reach_the_bound_are_cried_out(tmp_path: Path) -> None:
+    null = (*np.full(9, 1.5), 4.8)
+    settings = _settings(n_samples=300, abc=_block(leave_one_out=60))
+    abc.run(settings, **_campaign(tmp_path, n=300, noise=0.5, observed=4.5, null=null))
+    assert "null test: 10% of 10 mocks without substructure give a bound as high" in _warnings(tmp_path)
+
+
+def test_a_null_test_of_other_settings_is_refused(tmp_path: Path) -> None:
+    settings = _settings()
+    stale = {**settings.upstream, "null_summaries": settings_digest({"new": 1})}
+    with pytest.raises(ArtifactError, match=r"null\.h5: made with other settings"):
+        abc.run(_settings(upstream=stale), **_campaign(tmp_path, null=(1.0, 2.0)))
+
+
+def test_a_null_test_of_which_nothing_is_left_is_said(tmp_path: Path) -> None:
+    abc.run(_settings(), **_campaign(tmp_path, null=(np.nan, np.nan)))
+    assert "null test: all 2 mocks without substructure failed" in _warnings(tmp_path)
+    assert json.loads((tmp_path / "abc.json").read_text())["null_test"] is None
+
+
+def test_an_observation_at_the_edge_of_the_samples_is_said(tmp_path: Path) -> None:
+    """Inside the cloud as far as distances go, and yet higher than all but a few samples."""
+    settings = _settings(n_samples=400, abc=_block(leave_one_out=60))
+    abc.run(settings, **_campaign(tmp_path, n=400, observed=4.98))
+    found = json.loads((tmp_path / "abc.json").read_text())
+    assert found["observation_among_samples"]["correlation_at_0"]["p_value"] < 0.05
+    assert "the observation is at the edge of the samples in correlation_at_0: 99." in _warnings(tmp_path)
+    abc.run(settings, **_campaign(tmp_path, n=400, observed=4.5))
+    assert "edge of the samples" not in _warnings(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["sharper", "learned"])
+def test_other_summaries_as_the_headline(tmp_path: Path, name: str) -> None:
+    campaign = _campaign(tmp_path, n=600, noise=0.3, observed=4.0, null=(1.2, 1.3, 1.4), response=True)
+    upstream = dict.fromkeys(("observed_summary", "summaries"), settings_digest(_both()))
+    abc.run(_settings(n_samples=600, abc=_block(summaries=name, leave_one_out=100), upstream=upstream), **campaign)
+    found = json.loads((tmp_path / "abc.json").read_text())
+    kinds = {"sharper": ["response", "counts"], "learned": ["learned_m", "learned_mass"]}[name]
+    assert (found["summaries"], found["kinds"]) == (name, kinds)
+    assert set(found["nearest_neighbour_percentile"]) == set(kinds)
+    assert list(found["other_rules"]) == ["marginal_and", "scaled_sum", *kinds]
+    sets = found["summary_sets"]
+    assert sets[name]["bound"]["value_kev"] == found["bounds"]["q0455"]["value_kev"]  # one and the same procedure
+    assert sets["paper"]["kinds"] == ["correlation", "cumulative"]  # the paper's stands beside it
+    assert sets["paper"]["bound"]["value_kev"] > 1.2
+    assert found["learned"]["r_squared"][0] > 0.8
+    assert len(found["posterior_predictive_p"]) == 2
+    table = pd.read_csv(tmp_path / "abc.csv")
+    assert {f"cut_{kind}" for kind in kinds} < set(table.columns)
+    assert "cut_correlation" not in table
+    assert found["null_test"]["bound_kev"]["high"] < found["bounds"]["q0455"]["value_kev"]
+
+
+def test_headline_summaries_that_are_missing_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(
+        ArtifactError, match=r"abc\.summaries: sharper cannot be used: the linear response needs scan"
+    ):
+        abc.run(_settings(abc=_block(summaries="sharper")), **_campaign(tmp_path))
+    few = _campaign(tmp_path, n=40)
+    with pytest.raises(
+        ArtifactError, match=r"learned cannot be used: learned summaries need 50 samples, there are 40"
+    ):
+        abc.run(_settings(n_samples=40, abc=_block(summaries="learned")), **few)
+    abc.run(_settings(n_samples=40), **few)
+    found = json.loads((tmp_path / "abc.json").read_text())
+    assert "need 50 samples" in found["summary_sets"]["learned"]["refused"]
+    assert found["summary_sets"]["paper"]["bound"]["k"] == 8
+    assert "summaries learned: none: learned summaries need" in "\n".join(companions(found))
+    with pytest.raises(ValueError, match="use max_rank, marginal_and or scaled_sum"):
+        _block(summaries="learned", acceptance="cumulative")
+
+
+def _both() -> dict[str, object]:
+    return {"scan": {"statistics": ["delta_r", "amplitude"]}}
 
 
 def test_too_few_marginal_cuts_are_refused(tmp_path: Path) -> None:

@@ -61,6 +61,16 @@ def test_rotated_image(tmp_path: Path) -> None:
     assert x[1, 0] - x[0, 0] == pytest.approx(-0.05 * np.sin(0.5))
 
 
+def test_extension_takes_its_exposure_from_the_primary_header(tmp_path: Path) -> None:
+    """As in drizzled HST images."""
+    block = _write(tmp_path).model_copy(update={"extension": 1})
+    primary = fits.PrimaryHDU(header=fits.Header({"EXPTIME": 500.0}))
+    image = fits.ImageHDU(np.ones(SHAPE), _header(EXPTIME=None, BUNIT="electron / s"))
+    fits.HDUList([primary, image]).writeto(tmp_path / "sci.fits", overwrite=True)
+    _, band = read_band("F814W", block)
+    assert band.noise.exposure_s == 500.0
+
+
 def test_pixel_scale_and_centre_replace_the_wcs(tmp_path: Path) -> None:
     block = _write(tmp_path, CTYPE1=None, CTYPE2=None)
     with pytest.raises(ValueError, match="no celestial WCS"):

@@ -88,6 +88,7 @@ def smooth_block() -> dict[str, Any]:
 def config(block: dict[str, Any]) -> Config:
     raw = json.loads(json.dumps(yaml.safe_load((ROOT / "config.yaml").read_text())))
     raw["smooth_model"] = block
+    raw["scan"]["marginalise_lens"] = False
     return parse_config(raw)
 
 

@@ -159,6 +159,28 @@ def test_noise_is_drawn_per_sample_and_band(config: Config, folder: Path) -> Non
     assert np.abs(correlation).max() < 5.0 / np.sqrt(n)  # no two share their noise
 
 
+def test_mocks_of_the_null_test_are_the_smooth_model_with_noise_of_their_own(config: Config, folder: Path) -> None:
+    settings = stage_settings(_with(config, "null_test", n_mocks=5), "null_mocks")
+    mocks.run_null(settings, folder / "observation.h5", folder / "smooth_model.h5", folder / "null.h5")
+    observed, model = read_observation(folder / "observation.h5"), read_smooth_model(folder / "smooth_model.h5")
+    with open_artifact(folder / "null.h5", "null_mocks") as artifact:
+        assert artifact.span == (0, 5)
+        assert artifact.array("samples/status").tolist() == [OK] * 5
+        assert np.isnan(artifact.array("samples/m_th_kev")).all()
+        images = {band.name: artifact.array(f"{band.name}/image") for band in observed.bands}
+    for band in observed.bands:
+        clean = model.fits[band.name].model
+        scanned, _ = scan_band(observed, model, band.name)
+        for i in range(5):
+            rng = stream(config.campaign.seed, "null", i, band.name)
+            expected = band.noise.draw(clean, scanned.sigma, rng)
+            np.testing.assert_allclose(images[band.name][i], expected, rtol=1e-6, atol=1e-6)
+        pull = (images[band.name] - clean) / band.noise.sigma(clean)
+        assert np.sqrt(np.mean(pull.mean(axis=0) ** 2)) == pytest.approx(np.sqrt(1 / 5), rel=0.05)
+    with open_artifact(folder / "mocks.h5", "mocks") as artifact:
+        assert not np.array_equal(artifact.array("F814W/image")[0], images["F814W"][0])
+
+
 def test_solved_quasars_obey_the_perturbed_lens_equation(config: Config, folder: Path) -> None:
     solved = _with(config, "mocks", quasar_positions="solved")
     _mock(solved, folder, "deflections.h5", "solved.h5")

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts import ArtifactError, Provenance, open_artifact, write_artifact
 from warmlens.campaign import stream
 from warmlens.config import Config
-from warmlens.config_file import load_config, parse_config
+from warmlens.config_file import ConfigError, load_config, parse_config
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import fwhm
 from warmlens.lensing.substructure import filtered_deflection, required_half_width
@@ -118,3 +118,48 @@ def test_a_field_that_is_too_small(ci: Config, tmp_path: Path) -> None:
     raw["halos"]["field_half_width_arcsec"] = 3.0
     with pytest.raises(ValueError, match=r"halos\.field_half_width_arcsec = 3 is too small.* reach 3\.70"):
         observation.run(stage_settings(parse_config(raw), "observation"), tmp_path / "o.h5")
+
+
+def _taken(config: Config, source: Path, bands: list[str]) -> Config:
+    raw = config.model_dump()
+    raw["observation"].update(kind="artifact", artifact=str(source), bands=bands)
+    return parse_config(raw)
+
+
+def test_the_observation_of_another_campaign(ci: Config, simulated: Path, tmp_path: Path) -> None:
+    config = _taken(ci, simulated, ["F814W", "F555W"])
+    observation.run(stage_settings(config, "observation"), tmp_path / "same.h5")
+    with open_artifact(simulated) as original, open_artifact(tmp_path / "same.h5", "observation") as copy:
+        assert copy.digest == original.digest  # truth and all
+        assert copy.settings != original.settings
+        assert copy.inputs["artifact"]["digest"] == original.digest
+    observation.run(stage_settings(_taken(ci, simulated, ["F555W"]), "observation"), tmp_path / "one.h5")
+    (band,) = read_observation(tmp_path / "one.h5").bands
+    expected = read_observation(simulated).bands[1]
+    assert (band.name, band.noise) == ("F555W", expected.noise)
+    assert np.array_equal(band.image, expected.image)
+    with open_artifact(tmp_path / "one.h5") as copy, open_artifact(simulated) as original:
+        assert copy.digest != original.digest
+        assert copy.metadata["bands"] == ["F555W"]
+        assert np.array_equal(copy.array("truth/delta_alpha"), original.array("truth/delta_alpha"))
+    grid, mask = observation.planned_mask(config.observation)
+    assert mask.shape == grid.shape == (100, 100)
+
+
+def test_an_observation_that_cannot_be_taken(ci: Config, simulated: Path, tmp_path: Path) -> None:
+    def run(source: Path, bands: list[str]) -> None:
+        observation.run(stage_settings(_taken(ci, source, bands), "observation"), tmp_path / "out.h5")
+
+    with pytest.raises(ConfigError, match=r"has no bands \['F160W'\]; it has \['F814W', 'F555W'\]"):
+        run(simulated, ["F814W", "F160W"])
+    with pytest.raises(ConfigError, match=r"absent\.h5: no such file; run the campaign that makes it first"):
+        run(tmp_path / "absent.h5", ["F814W"])
+    damaged = tmp_path / "damaged.h5"
+    damaged.write_bytes(simulated.read_bytes()[:5000])
+    with pytest.raises(ArtifactError, match=r"damaged\.h5"):
+        run(damaged, ["F814W"])
+    other = tmp_path / "halos.h5"
+    write_artifact(other, Provenance("halos", {}), {}, {})
+    with pytest.raises(ArtifactError, match=r"halos\.h5: holds stage 'halos', expected 'observation'"):
+        run(other, ["F814W"])
+    assert not (tmp_path / "out.h5").exists()

@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts import Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
 from warmlens.campaign import draw_parameters
 from warmlens.config import Config
 from warmlens.stages import summaries
-from warmlens.stages.abc import _read_sharper
-from warmlens.stages.samples import FAILED_HERE, SampleTable
+from warmlens.stages.abc_tables import read_summaries, scalars
+from warmlens.stages.samples import FAILED_HERE, SampleTable, null
 from warmlens.stages.settings import stage_settings
 from warmlens.summaries.correlation import PairGeometry, correlation_function
 from warmlens.summaries.response import amplitude_correlation, mean_square_significance
@@ -20,7 +20,7 @@ from warmlens.summaries.response import amplitude_correlation, mean_square_signi
 SHAPE, N, STEP = (60, 62), 3, 0.05
 
 
-def _write(folder: Path, statistics: list[str], n: int | None) -> Path:
+def _write(folder: Path, statistics: list[str], n: int | None, stage: str = "scans") -> Path:
     """Scans of n samples (the second one failed), or of the observation."""
     rng = np.random.default_rng(5)
     lead = () if n is None else (n,)
@@ -36,7 +36,7 @@ def _write(folder: Path, statistics: list[str], n: int | None) -> Path:
                 ("sample", "y", "x")[3 - np.ndim(array) :] if n is None else ("sample", "y", "x")[: np.ndim(array)]
             )
             datasets[f"{band}/{name}"] = Dataset(np.asarray(array), "", axes, "")
-    stage = "observed_scan" if n is None else "scans"
+    stage = "observed_scan" if n is None else stage
     span = None if n is None else (0, n)
     if n is not None:
         table = SampleTable(draw_parameters(1, (0, n), (1.0, 5.0), (13.0, 13.5)))
@@ -63,7 +63,8 @@ def test_every_summary_of_bands_and_their_sum(statistics: list[str], paper_confi
             expected = correlation_function(both["delta_r"][row], pairs, -4.0)
             np.testing.assert_array_equal(summary["combined/correlation"][row], expected)
             assert summary["combined/chi2"][row] == both["chi2"][row]
-            assert summary["combined/n_below"][row] == np.sum(both["delta_r"][row][valid] < -4.0)
+            seen = both["delta_r"][row][valid]
+            assert summary["combined/counts"][row].tolist() == [np.sum(seen < t) for t in (-25.0, -10.0, -4.0)]
             assert summary["A/chi2"][row] == found["A/chi2"][row]
             if "amplitude" in statistics:
                 score, fisher = (found["A/" + k][row] + found["B/" + k][row] for k in ("score", "fisher"))
@@ -73,9 +74,30 @@ def test_every_summary_of_bands_and_their_sum(statistics: list[str], paper_confi
         assert np.isnan(summary["combined/correlation"][1]).all()
         assert np.isnan(summary["combined/chi2"][1])
 
+    found, grids = read_summaries([tmp_path / "s.h5"], tmp_path / "o.h5", None, np.array([True, False, True]))
+    expected = {"correlation", "cumulative", "counts", "chi2"}
+    assert set(found) == expected | ({"mean_z2", "amplitude_correlation"} if "amplitude" in statistics else set())
+    for name, item in found.items():
+        assert item.samples.shape == (2, *item.observed.shape), name
+        assert item.null.shape == (0, *item.observed.shape), name
+        assert np.isfinite(item.samples).all() and np.isfinite(item.observed).all()
+    single = scalars(found, grids)
+    assert list(single)[:5] == [*(f"positions_below_{t}" for t in (-25, -10, -4)), "correlation_at_0", "chi2"]
+    assert ("mean_z2" in single) == ("amplitude" in statistics)
+    np.testing.assert_array_equal(single["positions_below_-4"].samples, found["counts"].samples[:, 2])
+
+
+def test_the_null_test_is_summarised_by_the_same_code(paper_config: Config, tmp_path: Path) -> None:
+    """Same maps, same summaries; the artifact belongs to the null test, and no sample takes it for its own."""
+    settings = stage_settings(paper_config, "summaries")
+    summaries.run(settings, _write(tmp_path, ["delta_r"], N), tmp_path / "s.h5")
+    summaries.run(settings, _write(tmp_path, ["delta_r"], N, null("scans")), tmp_path / "n.h5")
+    with open_artifact(tmp_path / "s.h5", "summaries") as first, open_artifact(tmp_path / "n.h5") as second:
+        assert second.stage == "null_summaries"
+        np.testing.assert_array_equal(first.array("combined/counts"), second.array("combined/counts"))
+    summaries.run_observed(settings, _write(tmp_path, ["delta_r"], None), tmp_path / "o.h5")
+    with pytest.raises(ArtifactError, match="holds stage 'null_summaries', expected 'summaries'"):
+        read_summaries([tmp_path / "n.h5"], tmp_path / "o.h5", None, np.ones(3, dtype=bool))
     good = np.array([True, False, True])
-    rows, row = _read_sharper([tmp_path / "s.h5"], tmp_path / "o.h5", good)
-    n_separations = len(pairs.dr_arcsec)
-    assert rows.shape == (2, 2 if statistics == ["delta_r"] else 3 + n_separations)
-    assert row.shape == rows.shape[1:]
-    assert np.isfinite(rows).all() and np.isfinite(row).all()
+    found, _ = read_summaries([tmp_path / "s.h5"], tmp_path / "o.h5", tmp_path / "n.h5", good)
+    np.testing.assert_array_equal(found["correlation"].null, found["correlation"].samples)  # the failed one is out

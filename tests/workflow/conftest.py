@@ -30,8 +30,9 @@ TINY: dict[str, Any] = {
         }
     },
     "smooth_model": {"mode": "given", "allow_poor_fit": True, "source": {"n_max": 8, "clumps": None}},
-    "scan": {"step_arcsec": 0.3, "window_arcsec": [4.2, 4.2], "shard_size": 100},
+    "scan": {"marginalise_lens": False, "step_arcsec": 0.3, "window_arcsec": [4.2, 4.2], "shard_size": 100},
     "summaries": {"max_separation_arcsec": 2.4},
+    "null_test": {"n_mocks": 3},
     "abc": {"fraction": 0.3, "bootstrap": 100},
 }
 N_CHUNKED_STAGES = 5

@@ -14,9 +14,10 @@ import pandas as pd
 import pytest
 
 from warmlens.artifacts import open_artifact
+from warmlens.figures.inputs import NEEDED
 from warmlens.layout import FIGURES
 
-from .conftest import N_CHUNKED_STAGES, Project
+from .conftest import BIN, N_CHUNKED_STAGES, Project
 
 ABC = "results/tiny/abc.h5"
 
@@ -36,6 +37,7 @@ def test_campaign_is_complete(finished: Project) -> None:
     assert np.array_equal(table["accepted"].to_numpy(), accepted.astype(bool))
     for figure in FIGURES:
         assert (finished.results / f"figures/{figure}.png").stat().st_size > 10_000
+        assert len(pd.read_csv(finished.results / f"figures/{figure}.csv")) > 0
 
 
 def test_smooth_model_fits_the_simulated_observation(finished: Project) -> None:
@@ -56,14 +58,10 @@ def test_result_audit_and_status(finished: Project) -> None:
     assert "about 0 s left on 2 cores" in status.stdout
 
 
-def test_one_core_gives_the_same_digests(finished: Project, project: Project) -> None:
-    project.snakemake(ABC, cores=1)
-    assert project.digests() == finished.digests()
-
-
-def test_killed_campaign_resumes_to_the_same_digests(finished: Project, project: Project) -> None:
+def test_killed_campaign_resumes_on_one_core_to_the_same_digests(finished: Project, project: Project) -> None:
+    """As a user does it, `warmlens run` and `resume`; all on one core, where the finished one had two."""
     process = subprocess.Popen(
-        project.command(ABC, cores=2),
+        [str(BIN / "warmlens"), "run", "--configfile", "overlay-0.yaml", "--cores", "1", "--", ABC],
         cwd=project.folder,
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -74,15 +72,21 @@ def test_killed_campaign_resumes_to_the_same_digests(finished: Project, project:
         assert process.poll() is None, "the campaign ended before it could be killed"
         assert time.monotonic() < deadline
         time.sleep(0.1)
+    refused = project.warmlens("resume", "results/tiny", "--", ABC)
+    assert refused.returncode != 0
+    assert "is locked by process" in refused.stderr and "wait for it" in refused.stderr
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     done_before = project.digests()
     assert 0 < len(done_before) < len(finished.digests())
     assert project.warmlens("audit", "results/tiny").returncode == 1
-    project.snakemake("--unlock")
-    project.snakemake(ABC, cores=2)
+    resumed = project.warmlens("resume", "results/tiny", "--cores", "1", "--", ABC)
+    assert resumed.returncode == 0, resumed.stdout + resumed.stderr
+    assert "its lock is lifted" in resumed.stdout
     assert project.digests() == finished.digests()
     assert not list(project.results.rglob(".*.tmp-*")), "a partial file looks like an artifact"
+    again = project.warmlens("resume", "results/tiny", "--", ABC)
+    assert again.returncode == 0 and "Nothing to be done" in again.stdout + again.stderr
 
 
 def test_chunk_size_changes_no_number(finished: Project, project: Project) -> None:
@@ -152,7 +156,15 @@ class TestWhatIsRunAgain:
     def test_acceptance(self, copy_of: Callable[[], Project]) -> None:
         project = copy_of()
         project.configure({"abc": {"fraction": 0.5}})
-        assert project.planned() == {"abc": 1, "figure": 1, "all": 1}
+        drawn = sum("abc" in NEEDED[name] for name in FIGURES)
+        assert project.planned() == {"abc": 1, "figure": drawn, "report": 1, "all": 1}
+
+    def test_number_of_mocks_of_the_null_test(self, copy_of: Callable[[], Project]) -> None:
+        project = copy_of()
+        project.configure({"null_test": {"n_mocks": 5}})
+        assert project.planned(ABC) == {"null_mocks": 1, "null_scans": 1, "null_summaries": 1, "abc": 1}
+        project.configure({"null_test": {"n_mocks": 0}})
+        assert project.planned(ABC) == {"abc": 1}
 
     def test_filter_of_the_deflections(self, copy_of: Callable[[], Project]) -> None:
         project = copy_of()
@@ -214,6 +226,14 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(copy_of: Callable[
     with open_artifact(project.results / "abc.h5", "abc") as artifact:
         assert artifact.metadata["n_failed"] == failed.sum()
     assert f"{failed.sum()} of 14 samples failed" in project.warmlens("result", "results/tiny").stdout
+    assert project.warmlens("report", "results/tiny").returncode == 0
+    html = (project.results / "report.html").read_text()
+    assert html.count('<td>halos</td><td class="wide">halos: ValueError: m_halo_msun must be') == failed.sum()
+    shown = project.warmlens("show", "results/tiny", str(np.flatnonzero(failed)[0]), "--output", "failed.html")
+    assert shown.returncode == 0, shown.stderr
+    html = (project.folder / "failed.html").read_text()
+    assert "This sample failed in the stage halos." in html
+    assert "Traceback (most recent call last)" in html
     project.configure({"dark_matter": prior, "abc": {"max_failed_fraction": 0.1}})
     done = project.snakemake(ABC, check=False)
     assert done.returncode != 0
@@ -228,7 +248,7 @@ def test_audit_names_an_altered_and_a_missing_artifact(copy_of: Callable[[], Pro
     import h5py
 
     with h5py.File(altered, "r+") as file:
-        file["combined/n_below"][0] += 1.0
+        file["combined/counts"][0] += 1.0
     audit = project.warmlens("audit", "results/tiny")
     assert audit.returncode == 1
     assert f"{altered.relative_to(project.folder)}: altered" in audit.stdout

@@ -6,20 +6,41 @@ from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 
-from warmlens import runtime
+from warmlens import runs, runtime
 from warmlens.artifacts import atomic_path, canonical_json
 from warmlens.config_file import ConfigError, parse_config
-from warmlens.layout import CONFIG, FIGURE_VERSION, FIGURES, NUMBERS, SINGLE, TABLE, stage_files
-from warmlens.stages.settings import STAGES, stage_settings
+from warmlens.config_yaml import read_yaml
+from warmlens.figures.inputs import NEEDED, figure_inputs
+from warmlens.layout import (
+    ANSWER_FILES,
+    CONFIG,
+    EXCLUSION_NUMBERS,
+    EXCLUSION_TABLE,
+    FIGURE_VERSION,
+    FIGURES,
+    NUMBERS,
+    REPORT,
+    REPORT_VERSION,
+    SINGLE,
+    TABLE,
+    stage_files,
+)
+from warmlens.stages.settings import campaign_stages, stage_settings
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 runtime.prepare()
 
 try:
+    for path in workflow.configfiles:
+        read_yaml(Path(path))  # refuses what Snakemake lets pass, such as a key given twice
     CAMPAIGN = parse_config(config)
 except ConfigError as error:
     raise WorkflowError(f"the configuration has {len(error.problems)} problem(s):\n{error}") from None
+
+CAMPAIGN_STAGES = campaign_stages(CAMPAIGN)
+ANSWER = CAMPAIGN_STAGES[-1]  # abc, or exclusion on a grid, which has no posterior to draw
+DRAWN = [name for name in FIGURES if all(need.removesuffix("/*") in CAMPAIGN_STAGES for need in NEEDED[name])]
 
 
 wildcard_constraints:
@@ -53,16 +74,19 @@ def repeated(option, paths):
 
 
 onstart:
+    runs.begin(Path())
     with atomic_path(Path(results(CONFIG))) as temporary:
         temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 
 
 onsuccess:
-    if Path(single("abc")).exists():
+    runs.end(Path())
+    if Path(single(ANSWER)).exists():
         shell(f"warmlens result {shlex.quote(CAMPAIGN.results)}")
 
 
 onerror:
+    runs.end(Path())
     print(f"Finished artifacts are kept. `warmlens status {CAMPAIGN.results}` shows what is done and what failed;")
     print("start the same command again to go on from there.")

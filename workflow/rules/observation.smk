@@ -2,8 +2,11 @@ def observation_files():
     if CAMPAIGN.observation.kind == "simulated":
         return []
     from warmlens.stages.fits_input import input_files
+    from warmlens.stages.observation import artifact_path
 
     try:
+        if CAMPAIGN.observation.kind == "artifact":
+            return [str(artifact_path(CAMPAIGN.observation))]
         blocks = [CAMPAIGN.observation.fits[band] for band in CAMPAIGN.observation.bands]
         return [str(path) for block in blocks for path in input_files(block).values()]
     except ConfigError as error:
@@ -25,6 +28,6 @@ rule observation:
         mem_mb=2000,
         runtime=10,
     message:
-        "observation: read or simulate the image"
+        "observation: read, simulate or copy the image"
     shell:
         "warmlens observation --params {params.settings:q} --output {output:q} > {log:q} 2>&1"

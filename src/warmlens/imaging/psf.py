@@ -37,9 +37,12 @@ def validate_psf(psf: FloatArray, name: str) -> FloatArray:
     n_bad = int(np.count_nonzero(~np.isfinite(psf)))
     if n_bad:
         raise ValueError(f"PSF {name}: {n_bad} of {psf.size} pixels are not finite")
-    total = float(psf.sum())
-    if total <= 0.0:
-        raise ValueError(f"PSF {name}: its sum must be positive, got {total:.3g}")
+    with np.errstate(over="ignore"):
+        total = float(psf.sum())
+    if not 0.0 < total < np.inf:
+        raise ValueError(f"PSF {name}: its sum must be positive and finite, got {total:.3g}")
+    if total < 0.5 * float(np.abs(psf).sum()):
+        raise ValueError(f"PSF {name}: its negative pixels nearly cancel its positive ones; mend the PSF")
     peak = np.unravel_index(int(np.argmax(psf)), psf.shape)
     middle = psf.shape[0] // 2
     if max(abs(int(peak[0]) - middle), abs(int(peak[1]) - middle)) > 1:

@@ -23,7 +23,8 @@ from scipy.stats import median_abs_deviation, rankdata
 from warmlens.types import BoolArray, FloatArray, IntArray
 
 KINDS = ("correlation", "cumulative")
-RULES = ("max_rank", "marginal_and", "scaled_sum", *KINDS)
+JOINT_RULES = ("max_rank", "marginal_and", "scaled_sum")
+RULES = (*JOINT_RULES, *KINDS)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warmlens.inference.acceptance import RULES, Acceptance, accept, order_by_id, reduce_distances
+from warmlens.inference.acceptance import JOINT_RULES, Acceptance, accept, order_by_id, reduce_distances
 from warmlens.inference.adjustment import adjust
 from warmlens.inference.bootstrap import Counts
 from warmlens.inference.bound import HEADLINE, LEVELS, Bound, TooFewError, lower_bounds, weighted_quantile
@@ -211,14 +211,16 @@ def _bounds(
 def _other_rules(
     table: Table, rule: str, fraction: float, distances: FloatArray, n_bootstrap: int, streams: Streams
 ) -> dict[str, Bound | str]:
-    """Headline under every other rule."""
+    """Headline under every other rule: of all distances, and of each alone."""
     found: dict[str, Bound | str] = {}
-    for other in RULES:
-        if other == rule:
+    others = {name: (name, distances) for name in JOINT_RULES}
+    others |= {kind: ("max_rank", distances[[i]]) for i, kind in enumerate(table.kinds)}
+    for name, (other, cut_on) in others.items():
+        if name == rule:
             continue
         try:
-            accepted = accept(distances, other, fraction, table.sample_id, streams("ties"))
-            found[other] = _bounds(table, accepted, distances, streams(f"rules/{other}"), n_bootstrap)[HEADLINE]
+            accepted = accept(cut_on, other, fraction, table.sample_id, streams("ties"))
+            found[name] = _bounds(table, accepted, cut_on, streams(f"rules/{name}"), n_bootstrap)[HEADLINE]
         except ValueError as error:  # too few samples, or a rule that is undefined on this table
             found[other] = str(error)
     return found

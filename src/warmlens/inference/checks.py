@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warmlens.inference.acceptance import KINDS
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray
 
@@ -26,13 +25,22 @@ class CloudCheck:
         For each kind of summary: percentage of samples whose nearest other sample is closer, ties counted half.
     warnings
         Loud ones, for kinds above `MAX_PERCENTILE`; also kinds that cannot tell samples apart.
+    nearest
+        Distance of samples to their nearest other one [n_kinds, n_samples].
     """
 
     percentile: dict[str, float]
     warnings: tuple[str, ...]
+    nearest: FloatArray
+
+    def percentiles(self, distances: FloatArray) -> FloatArray:
+        """Percentage of samples whose nearest other one is closer than these [n_kinds, n]; the same shape."""
+        others = self.nearest[:, None]
+        closer, tied = (others < distances[..., None]), (others == distances[..., None])
+        return 100.0 * (closer.mean(axis=-1) + 0.5 * tied.mean(axis=-1))
 
 
-def cloud_check(table: Table, names: tuple[str, ...] = KINDS) -> CloudCheck:
+def cloud_check(table: Table) -> CloudCheck:
     """Compare the observation's nearest-neighbour distance with those of up to `MAX_ROWS` samples."""
     chosen = np.unique(np.linspace(0, table.n - 1, min(table.n, MAX_ROWS)).astype(np.int64))
     found = []
@@ -43,10 +51,10 @@ def cloud_check(table: Table, names: tuple[str, ...] = KINDS) -> CloudCheck:
         found.append(between.min(axis=2))
     nearest = np.concatenate(found, axis=1)
     distances = table.distances()
-    percentile, warnings = {}, []
-    for name, own, others, every in zip(names, distances.min(axis=1), nearest, distances, strict=True):
-        value = 100.0 * float(np.mean(others < own) + 0.5 * np.mean(others == own))
-        percentile[name] = value
+    check = CloudCheck({}, (), nearest)
+    values = check.percentiles(distances.min(axis=1, keepdims=True))[:, 0]
+    percentile, warnings = dict(zip(table.kinds, map(float, values), strict=True)), []
+    for (name, value), every in zip(percentile.items(), distances, strict=True):
         if value > MAX_PERCENTILE:
             warnings.append(
                 f"THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in {name}: it is farther from its nearest sample "
@@ -54,7 +62,37 @@ def cloud_check(table: Table, names: tuple[str, ...] = KINDS) -> CloudCheck:
             )
         if np.ptp(every) == 0.0:
             warnings.append(f"all samples have the same distance in {name}: it tells nothing about them")
-    return CloudCheck(percentile, tuple(warnings))
+    return CloudCheck(percentile, tuple(warnings), nearest)
+
+
+@dataclass(frozen=True)
+class Rank:
+    """Where one number stands among others.
+
+    Attributes
+    ----------
+    observed
+        The number.
+    rank
+        Fraction of the others below it, ties counted half.
+    p_value
+        Two-sided: probability that one more of the others lies as far out, from 2 / (n + 1) to 1.
+    n
+        How many others.
+    """
+
+    observed: float
+    rank: float
+    p_value: float
+    n: int
+
+
+def rank_among(values: FloatArray, observed: float) -> Rank:
+    """Rank of `observed` among values [n]."""
+    n = values.size
+    below, tied = int((values < observed).sum()), int((values == observed).sum())
+    tail = min(below, n - below - tied) + tied
+    return Rank(float(observed), (below + 0.5 * tied) / n, min(1.0, 2.0 * (1 + tail) / (n + 1)), n)
 
 
 @dataclass(frozen=True)

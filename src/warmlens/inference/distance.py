@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from scipy.spatial.distance import cdist
 
@@ -96,20 +98,20 @@ def ledoit_wolf(rows: FloatArray) -> tuple[FloatArray, float]:
     return (1.0 - shrinkage) * sample + shrinkage * mean * np.eye(p), shrinkage
 
 
-def whitened_features(rows: FloatArray, observed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rows [n, p] and observed [p] in coordinates whose covariance over the rows, Ledoit-Wolf shrunk, is 1.
+def whitening(rows: FloatArray, observed: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Change of [..., p] to coordinates in which the covariance of rows [n, p], Ledoit-Wolf shrunk, is 1.
 
-    Columns that are the same in every row and in the observation carry nothing and are left out; one that only
-    the observation breaks is kept, and the shrinkage sets its scale.
+    Columns that are the same in every row and in the observation [p] carry nothing and are left out; one that
+    only the observation breaks is kept, and the shrinkage sets its scale.
     """
     varying = (np.ptp(rows, axis=0) > 0.0) | (observed != rows[0])
     if not np.ptp(rows, axis=0).any():
-        return rows, observed
-    rows, observed = rows[:, varying], observed[varying]
+        return lambda values: values
+    rows = rows[:, varying]
     scale = rows.std(axis=0)
     scale[scale == 0.0] = scale[scale > 0.0].min()
     covariance, _ = ledoit_wolf(rows / scale)
     values, vectors = np.linalg.eigh(covariance)
     values = np.maximum(values, 1e-10 * values[-1])
     transform = vectors / np.sqrt(values) / scale[:, None]
-    return rows @ transform, observed @ transform
+    return lambda values: values[..., varying] @ transform

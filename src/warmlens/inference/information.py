@@ -12,6 +12,7 @@ from warmlens.inference.table import Range
 from warmlens.types import BoolArray, FloatArray
 
 N_BINS = 8
+N_PERMUTATIONS = 40
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,8 @@ class Information:
     n
         Pseudo-observations.
     gain_nats, gain_error_nats
-        Mean Kullback-Leibler divergence of the posterior of m from the prior, and its error [nat].
+        Mean Kullback-Leibler divergence of the posterior of m from the prior [nat], and its error: of the
+        pseudo-observations, and of the one table that they share, by chance alone.
     expected_bound_kev, expected_bound_error_kev
         Median bound of truths above `CDM_LIKE_KEV`, and its error [keV]; NaN below 10 of them.
     """
@@ -53,15 +55,20 @@ def divergences(m_kev: FloatArray, accepted: BoolArray, m_range_kev: Range, n_bi
 def information(
     m_kev: FloatArray, m_range_kev: Range, trials: LeaveOneOut, rng: np.random.Generator
 ) -> Information:
-    """Information gain and expected bound from leave-one-out trials on one table."""
+    """Information gain and expected bound from leave-one-out trials on one table.
+
+    Pseudo-observations accept overlapping parts of one table: what its chance excesses do to their mean is the
+    scatter of that mean when the masses are dealt to the rows at random.
+    """
     some = trials.accepted.any(axis=1)
-    gains = divergences(m_kev, trials.accepted[some], m_range_kev)
+    accepted = trials.accepted[some]
+    gains = divergences(m_kev, accepted, m_range_kev)
+    chance = [divergences(rng.permutation(m_kev), accepted, m_range_kev).mean() for _ in range(N_PERMUTATIONS)]
+    gain_error = np.hypot(gains.std(ddof=1) / np.sqrt(gains.size), np.std(chance, ddof=1))
     bounds = trials.bounds[some, list(LEVELS).index(HEADLINE)]
     cold = bounds[trials.truth[some, 0] > CDM_LIKE_KEV]
     median = error = np.nan
     if cold.size >= 10:
         median = float(np.median(cold))
         error = float(np.median(rng.choice(cold, (500, cold.size)), axis=1).std(ddof=1))
-    return Information(
-        gains.size, float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(gains.size)), median, error
-    )
+    return Information(gains.size, float(gains.mean()), float(gain_error), median, error)

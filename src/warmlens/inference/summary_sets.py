@@ -1,9 +1,19 @@
-"""What each set of summaries is worth on one and the same table: the paper's, its parts, and learned ones."""
+"""Sets of summaries on one and the same table: which distances they cut on, and what each is worth.
+
+paper
+    C(dr) and the cumulative distribution, each with its own distance (Birrer+2017); `correlation` and
+    `cumulative` are one of them alone.
+sharper
+    The linear response (mean z^2 and correlation of the amplitude) and the counts (positions below several
+    thresholds, with the chi2 of the smooth fit), each whitened. Without the amplitude among the statistics of the
+    scan only the counts.
+learned
+    The parameters as regressed on all summaries (Fearnhead & Prangle 2012); `learned_m` the relic mass alone.
+"""
 
 from __future__ import annotations
 
-import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,84 +21,155 @@ import numpy as np
 from warmlens.inference.acceptance import accept
 from warmlens.inference.bound import HEADLINE, Bound, lower_bounds
 from warmlens.inference.calibration import leave_one_out
+from warmlens.inference.distance import integral_features, whitening
 from warmlens.inference.information import Information, information
 from warmlens.inference.table import Table
-from warmlens.summaries.learned import learned_summaries
+from warmlens.summaries.learned import LearnedSummaries, learned_summaries
 from warmlens.types import FloatArray
+
+PAPER = ("correlation", "cumulative")
+COUNTS = ("counts", "chi2")
+RESPONSE = ("mean_z2", "amplitude_correlation")  # only with the statistic `amplitude` of the scan
+LEARNED = ("learned_m", "learned_mass")
+SETS = {
+    "paper": PAPER,
+    **{kind: (kind,) for kind in PAPER},
+    "sharper": ("response", "counts"),
+    "learned": LEARNED,
+    "learned_m": LEARNED[:1],
+}
+Streams = Callable[[str], np.random.Generator]
+
+
+@dataclass(frozen=True)
+class Summary:
+    """One summary, of everything that is compared.
+
+    Attributes
+    ----------
+    samples, observed, null
+        Of the samples [n, ...], of the observation [...], of the null test's mocks [n_mocks, ...].
+    """
+
+    samples: FloatArray
+    observed: FloatArray
+    null: FloatArray
+
+    def each(self, change: Callable[[FloatArray], FloatArray]) -> Summary:
+        """The same with all three arrays changed."""
+        return Summary(change(self.samples), change(self.observed), change(self.null))
+
+
+def side_by_side(summaries: Mapping[str, Summary], names: tuple[str, ...]) -> Summary:
+    """Several summaries as one: [n, p], [p] and [n_mocks, p]."""
+    flat = [_flat(summaries[name]) for name in names]
+    return Summary(
+        np.hstack([item.samples for item in flat]),
+        np.hstack([item.observed for item in flat]),
+        np.hstack([item.null for item in flat]),
+    )
+
+
+def _flat(item: Summary) -> Summary:
+    """A summary of any shape as numbers in a row."""
+    shape, size = item.observed.shape, item.observed.size
+    return item.each(lambda values: values.reshape(*values.shape[: values.ndim - len(shape)], size))
+
+
+def points(summaries: Mapping[str, Summary], grids: Mapping[str, FloatArray], distance: str) -> dict[str, Summary]:
+    """Points whose squared distance is D, of the kinds that the summaries have.
+
+    Parameters
+    ----------
+    summaries
+        By name: those of `PAPER` and `COUNTS`, and of `RESPONSE` if there are any.
+    grids
+        On which those of `PAPER` are taken.
+    distance
+        Of these: "integral" of the squared difference, or "whitened". The others are whitened always.
+    """
+    found = {}
+    for name in PAPER:
+        item = summaries[name]
+        if distance == "whitened":
+            found[name] = item.each(whitening(item.samples, item.observed))
+        else:
+            found[name] = item.each(lambda values, grid=grids[name]: integral_features(grid, values))  # type: ignore[misc]
+    kinds = {"counts": COUNTS} | ({"response": RESPONSE} if RESPONSE[0] in summaries else {})
+    for name, parts in kinds.items():
+        item = side_by_side(summaries, parts)
+        found[name] = item.each(whitening(item.samples, item.observed))
+    return found
+
+
+def learned_points(
+    parameters: FloatArray, summaries: Mapping[str, Summary], rng: np.random.Generator
+) -> tuple[dict[str, Summary], LearnedSummaries]:
+    """Points of `LEARNED` from parameters [n, 2] and all summaries; with what was learned.
+
+    Raises
+    ------
+    ValueError
+        If there are too few samples to learn from.
+    """
+    item = side_by_side(summaries, tuple(summaries))
+    learned = learned_summaries(parameters, item.samples, np.vstack([item.observed, item.null]), rng)
+    found = {
+        name: Summary(learned.samples[:, [i]], learned.observed[0, [i]], learned.observed[1:, [i]])
+        for i, name in enumerate(LEARNED)
+    }
+    return found, learned
+
+
+def kinds_of(name: str, known: Mapping[str, Summary]) -> tuple[str, ...]:
+    """Kinds of summaries that set `name` cuts on, of those that are known."""
+    return tuple(kind for kind in SETS[name] if kind in known)
 
 
 @dataclass(frozen=True)
 class SummarySet:
-    """A set of summaries on the table.
+    """What a set of summaries is worth on the table.
 
     Attributes
     ----------
+    kinds
+        What it cuts on.
     gain
         Information over the prior and expected bound, over the same pseudo-observations for every set.
     bound
         The headline bound of the observation with this set.
-    r_squared
-        For learned ones: predicted fraction of the variance of m_kev and of log10_mass; None otherwise.
     """
 
+    kinds: tuple[str, ...]
     gain: Information
     bound: Bound
-    r_squared: tuple[float, ...] | None
 
 
-def summary_sets(
-    table: Table,
-    fraction: float,
-    n_bootstrap: int,
-    n_rows: int,
-    streams: Callable[[str], np.random.Generator],
-    sharper: FloatArray | None = None,
-    sharper_observed: FloatArray | None = None,
-) -> dict[str, SummarySet]:
-    """Compare summary sets by max-rank acceptance at one fraction.
+def summary_set(table: Table, fraction: float, n_bootstrap: int, n_rows: int, streams: Streams) -> SummarySet:
+    """Worth of the summaries of a table by max-rank acceptance.
 
     Parameters
     ----------
     table
-        With the paper's two kinds of summaries.
+        With this set's kinds.
     fraction, n_bootstrap
         Of the acceptance, and of the bounds' errors.
     n_rows
         Pseudo-observations.
     streams
-        A generator for each name; the same name gives the same numbers.
-    sharper, sharper_observed
-        Further summaries for the learned ones [n, n_features], [n_features], such as those of
-        `summaries.response`; None: the paper's alone.
+        A generator for each name; the same name gives the same numbers, so that sets can be compared.
     """
-    features, observed = table.stacked(), np.concatenate(table.observed)
-    if sharper is not None and sharper_observed is not None:
-        features, observed = np.hstack([features, sharper]), np.concatenate([observed, sharper_observed])
-    learned = learned_summaries(table.parameters, features, observed, streams("learned"))
-    both = tuple(learned.samples[:, [i]] for i in range(2))
-    both_observed = tuple(learned.observed[[i]] for i in range(2))
-    sets = {
-        "paper": table,
-        "correlation": dataclasses.replace(table, features=table.features[:1], observed=table.observed[:1]),
-        "cumulative": dataclasses.replace(table, features=table.features[1:], observed=table.observed[1:]),
-        "learned": dataclasses.replace(table, features=both, observed=both_observed),
-        "learned_m": dataclasses.replace(table, features=both[:1], observed=both_observed[:1]),
-    }
-    found = {}
-    for name, rows in sets.items():
-        distances = rows.distances()
-        accepted = accept(distances, "max_rank", fraction, rows.sample_id, streams("ties"))
-        bound = lower_bounds(
-            rows.m_kev,
-            accepted,
-            distances,
-            rows.sample_id,
-            rows.m_range_kev,
-            streams("summary_sets"),
-            n_bootstrap=n_bootstrap,
-        )[HEADLINE]
-        trials = leave_one_out(rows, "max_rank", fraction, n_rows, streams("summary_sets"))
-        gain = information(rows.m_kev, rows.m_range_kev, trials, streams("summary_sets"))
-        r_squared = tuple(map(float, learned.r_squared)) if name.startswith("learned") else None
-        found[name] = SummarySet(gain, bound, r_squared)
-    return found
+    distances = table.distances()
+    accepted = accept(distances, "max_rank", fraction, table.sample_id, streams("ties"))
+    bound = lower_bounds(
+        table.m_kev,
+        accepted,
+        distances,
+        table.sample_id,
+        table.m_range_kev,
+        streams("bootstrap"),
+        n_bootstrap=n_bootstrap,
+    )[HEADLINE]
+    trials = leave_one_out(table, "max_rank", fraction, n_rows, streams("leave_one_out"))
+    gain = information(table.m_kev, table.m_range_kev, trials, streams("information"))
+    return SummarySet(table.kinds, gain, bound)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from warmlens.inference.acceptance import KINDS
 from warmlens.inference.distance import squared_distances
 from warmlens.types import FloatArray, IntArray
 
@@ -26,9 +28,11 @@ class Table:
         Edges of the uniform prior.
     features
         For each kind of summary [n, n_features]: points whose squared Euclidean distance is the distance D of
-        that kind (`distance.integral_features`), kinds in the order of `acceptance.KINDS`.
+        that kind (`distance.integral_features`).
     observed
         For each kind the point of the observation [n_features].
+    kinds
+        Names of the kinds; the paper's unless given.
     """
 
     sample_id: IntArray
@@ -38,6 +42,7 @@ class Table:
     log10_mass_range: Range
     features: tuple[FloatArray, ...]
     observed: tuple[FloatArray, ...]
+    kinds: tuple[str, ...] = KINDS
 
     def __post_init__(self) -> None:
         n = self.sample_id.size
@@ -58,7 +63,7 @@ class Table:
                 f"all {n} samples have m_kev = {self.m_kev[0]}: no bound can be drawn from them; "
                 "widen dark_matter.m_th_kev"
             )
-        for kind, (rows, row) in enumerate(zip(self.features, self.observed, strict=True)):
+        for kind, rows, row in zip(self.kinds, self.features, self.observed, strict=True):
             if rows.ndim != 2 or rows.shape[0] != n or rows.shape[1:] != row.shape:
                 raise ValueError(f"features of kind {kind} have shapes {rows.shape} and {row.shape}, n = {n}")
             if not (np.isfinite(rows).all() and np.isfinite(row).all()):
@@ -81,12 +86,16 @@ class Table:
 
     def distances(self) -> FloatArray:
         """Distance of every sample to the observation [n_kinds, n]."""
-        pairs = zip(self.features, self.observed, strict=True)
-        return np.array([squared_distances(row[None], rows)[0] for rows, row in pairs])
+        return self.distances_from([row[None] for row in self.observed])[:, 0]
 
     def distances_between(self, rows: IntArray) -> FloatArray:
         """Distance of every sample to the samples in `rows` [n_kinds, n_rows, n]."""
-        return np.array([squared_distances(features[rows], features) for features in self.features])
+        return self.distances_from([features[rows] for features in self.features])
+
+    def distances_from(self, points: Sequence[FloatArray]) -> FloatArray:
+        """Distance of every sample to points of each kind, each [n_points, n_features]: [n_kinds, n_points, n]."""
+        pairs = zip(points, self.features, strict=True)
+        return np.array([squared_distances(some, features) for some, features in pairs])
 
     def stacked(self) -> FloatArray:
         """All features side by side [n, sum of n_features]."""

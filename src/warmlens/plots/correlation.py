@@ -68,8 +68,7 @@ def _draw_groups(
 ) -> None:
     """Mean (line) and 16th to 84th percentile (band) of each group, the observation on top.
 
-    The ordinate is linear up to the decade of the lowest values that matter, logarithmic beyond: a sample
-    without anomalies has 0 everywhere.
+    A sample without anomalies has 0 everywhere, which a logarithmic ordinate would not show.
     """
     colours = mpl.rcParams["axes.prop_cycle"].by_key()["color"]
     for number, rows in enumerate(group_by_mass(m_kev, n_groups)):
@@ -80,9 +79,16 @@ def _draw_groups(
         ax.plot(grid, group.mean(axis=0), color=colour, label=label)
     ax.plot(grid, observed, color="black", lw=2.6, label="observation", zorder=5)
     ax.legend(title="mean, 16th to 84th percentile", title_fontsize=8.5, alignment="left")
-    means = np.concatenate([samples.mean(axis=0), observed])
-    if (means > 0.0).any():
-        lowest = np.percentile(means[means > 0.0], LINEAR_BELOW_PERCENTILE)
-        ax.set_yscale("symlog", linthresh=float(10.0 ** np.floor(np.log10(lowest))), linscale=0.6)
+    set_signal_scale(ax, np.concatenate([samples.mean(axis=0), observed]))
     ax.set_xlim(grid[0], grid[-1])
+
+
+def set_signal_scale(ax: Axes, values: FloatArray) -> None:
+    """Ordinate from 0, linear up to the decade of the lowest values that matter, logarithmic beyond.
+
+    `values` are what the panel shows most prominently, of any number; all 0 leaves the ordinate linear.
+    """
+    if (values > 0.0).any():
+        lowest = np.percentile(values[values > 0.0], LINEAR_BELOW_PERCENTILE)
+        ax.set_yscale("symlog", linthresh=float(10.0 ** np.floor(np.log10(lowest))), linscale=0.6)
     ax.set_ylim(bottom=0.0)

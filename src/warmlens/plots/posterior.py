@@ -13,12 +13,14 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import AutoMinorLocator
 
 from warmlens.inference.bound import Bound
+from warmlens.inference.likelihood import BoundaryKernels, silverman
 from warmlens.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
     from getdist import MCSamples
 
 MIN_FOR_DENSITY = 30
+_GRID = 200
 REGIONS = (0.683, 0.954)  # probability inside the highest-density contours
 COLOUR, LIGHT, EXCLUDED = "#1f5f8b", "#a9cbe0", "#c1403d"
 MASS_LABEL = r"$m_{\rm TH}$ [keV]"
@@ -136,9 +138,10 @@ def draw_mass_marginal(
     n_bins = int(np.clip(2.0 * np.cbrt(m_kev.size), 4, 24))
     ax.hist(m_kev, bins=n_bins, range=m_range_kev, weights=weights, density=True, color="0.88", edgecolor="0.7")
     if m_kev.size >= MIN_FOR_DENSITY:
-        density = _density_samples({"m": m_kev}, {"m": m_range_kev}, weights).get1DDensity("m")
-        density.normalize("integral")
-        ax.plot(density.x, density.P, color=COLOUR, lw=1.8)
+        grid = np.linspace(low, high, _GRID)
+        kernels = BoundaryKernels(grid, m_kev, silverman(m_kev, m_range_kev), m_range_kev)
+        density = kernels.density(np.ones((1, m_kev.size)) if weights is None else weights[None])[0]
+        ax.plot(grid, density / np.trapezoid(density, grid), color=COLOUR, lw=1.8)
     else:
         _note_too_few(ax, m_kev.size)
     ax.axvspan(low, bound.value_kev, color=EXCLUDED, alpha=0.18, lw=0)

@@ -9,6 +9,7 @@ from itertools import cycle
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.ticker import NullFormatter
 
 from warmlens.imaging.grid import PixelGrid
 from warmlens.plots.sky import add_colour_bar, draw_diverging, draw_image
@@ -57,7 +58,7 @@ class AmplitudeRow:
 
 
 def draw_scan_row(axes: Sequence[Axes], row: ScanRow, grid: PixelGrid, limit: float, r_sens_limit: float) -> None:
-    """Delta R of each image, then R_sens of the first.
+    """Delta R of each image, then R_sens of the first; the name of the row stands beside its first panel.
 
     Parameters
     ----------
@@ -73,10 +74,16 @@ def draw_scan_row(axes: Sequence[Axes], row: ScanRow, grid: PixelGrid, limit: fl
     for ax, delta in zip(axes[:-1], row.delta_r, strict=True):
         shown = draw_diverging(ax, delta, grid, limit)
         ax.label_outer()
-    add_colour_bar(shown, axes[-2], rf"$\Delta R$, {row.name}")
+    add_colour_bar(shown, axes[-2], r"$\Delta R$")
     shown = draw_image(axes[-1], row.r_sens, grid, "linear", (0.0, r_sens_limit), cmap="viridis")
-    add_colour_bar(shown, axes[-1], rf"$R_{{\rm sens}}$, {row.name}")
+    add_colour_bar(shown, axes[-1], r"$R_{\rm sens}$")
     axes[-1].label_outer()
+    _name_row(axes[0], row.name)
+
+
+def _name_row(first: Axes, name: str) -> None:
+    """Name of the row beside its first panel, where it hides nothing."""
+    first.set_ylabel(f"{name}\n{first.get_ylabel()}", fontsize=9)
 
 
 def draw_amplitude_row(axes: Sequence[Axes], row: AmplitudeRow, grid: PixelGrid, limit: float) -> None:
@@ -92,7 +99,8 @@ def draw_amplitude_row(axes: Sequence[Axes], row: AmplitudeRow, grid: PixelGrid,
     for ax, significance in zip(axes[:-1], row.significance, strict=True):
         shown = draw_diverging(ax, significance, grid, limit)
         ax.label_outer()
-    add_colour_bar(shown, axes[-2], r"$\hat\epsilon\,/\,\sigma_\epsilon$, all bands")
+    add_colour_bar(shown, axes[-2], r"$\hat\epsilon\,/\,\sigma_\epsilon$")
+    _name_row(axes[0], "all bands")
     if np.isfinite(row.last).any():
         finite = row.last[np.isfinite(row.last)]
         low, high = float(finite.min()), float(np.percentile(finite, 95.0))
@@ -107,6 +115,8 @@ def draw_amplitude_row(axes: Sequence[Axes], row: AmplitudeRow, grid: PixelGrid,
 
 def draw_scan_plane(plane: Axes, top: Axes, right: Axes, maps: dict[str, tuple[FloatArray, FloatArray]]) -> None:
     """Positions in the plane of Delta R and R_sens, and both marginal distributions.
+
+    The legend is left to the figure: there is no place in the plane that no position can take.
 
     Parameters
     ----------
@@ -141,10 +151,13 @@ def draw_scan_plane(plane: Axes, top: Axes, right: Axes, maps: dict[str, tuple[F
     plane.set_ylim(low, high)
     plane.set_xlabel(r"$\Delta R = R_{\rm pert} - R_{\rm smooth}$")
     plane.set_ylabel(r"$R_{\rm sens}$")
-    plane.legend(loc="lower left", markerscale=3.0, fontsize=7.5)
+    ticks = [value for value in (-100.0, -10.0, -1.0, 0.0, 1.0, 10.0, 100.0) if abs(value) <= reach]
+    plane.set_xticks(ticks, [f"{value:g}".replace("-", "\u2212") for value in ticks])
     for ax in (top, right):
         ax.tick_params(labelbottom=ax is right, labelleft=ax is top)
     top.set_yscale("log")
     right.set_xscale("log")
     top.set_ylabel("positions")
     right.set_xlabel("positions")
+    top.yaxis.set_minor_formatter(NullFormatter())
+    right.xaxis.set_minor_formatter(NullFormatter())

@@ -80,6 +80,7 @@ def draw_image(
     ax.set_xlim(corners[:, 0].min(), corners[:, 0].max())
     ax.set_ylim(corners[:, 1].min(), corners[:, 1].max())
     ax.set_facecolor(MASKED_COLOUR)
+    ax.minorticks_off()  # nobody measures between them, and they take most of the time of a drawing
     ax.set_aspect("equal")
     ax.set_xlabel("$x$ [arcsec]")
     ax.set_ylabel("$y$ [arcsec]")
@@ -142,9 +143,10 @@ def add_colour_bar(
         box = (1.03, 0.0, 0.05, 1.0) if location == "right" else (0.0, 1.03, 1.0, 0.05)
         cax = axes.inset_axes(box)
         bar = axes.figure.colorbar(artist, cax=cax, location=location, label=label, extend=extend)
+    if not isinstance(artist.norm, LogNorm):
+        bar.minorticks_off()
     if isinstance(artist.norm, AsinhNorm):
         bar.set_ticks(_asinh_ticks(artist.norm.linear_width, low, high), minor=False)
-        bar.minorticks_off()
         bar.long_axis.set_major_formatter("{x:g}")
     return bar
 

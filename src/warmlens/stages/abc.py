@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import logging
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,40 +13,36 @@ import numpy as np
 import pandas as pd
 
 from warmlens import __version__
-from warmlens.artifacts import (
-    Artifact,
-    ArtifactError,
-    Provenance,
-    atomic_path,
-    open_artifact,
-    write_artifact,
-)
+from warmlens.artifacts import ArtifactError, Dataset, Provenance, atomic_path, open_artifact, write_artifact
 from warmlens.audit import check_chain
 from warmlens.campaign import stream
 from warmlens.inference.acceptance import KINDS
-from warmlens.inference.analysis import analyse
+from warmlens.inference.analysis import Analysis, analyse
 from warmlens.inference.bound import HEADLINE, TooFewError
-from warmlens.inference.checks import posterior_predictive
+from warmlens.inference.checks import Rank, posterior_predictive, rank_among
 from warmlens.inference.combine import cold_ratios, forecast
-from warmlens.inference.distance import (
-    correlation_distance,
-    cumulative_distance,
-    integral_features,
-    whitened_features,
-)
-from warmlens.inference.summary_sets import summary_sets
+from warmlens.inference.distance import correlation_distance, cumulative_distance
+from warmlens.inference.null_test import null_test
+from warmlens.inference.summary_sets import LEARNED, SETS, Summary, kinds_of, learned_points, points, summary_set
 from warmlens.inference.table import Table
+from warmlens.stages.abc_null import null_datasets, null_numbers, null_warnings
 from warmlens.stages.abc_numbers import add_columns, datasets, numbers, plain
+from warmlens.stages.abc_tables import (
+    make_table,
+    read_null_table,
+    read_summaries,
+    read_table,
+    refuse_failures,
+    scalars,
+)
 from warmlens.stages.samples import OK
 from warmlens.stages.settings import AbcSettings
-from warmlens.stages.summaries import COMBINED
-from warmlens.types import BoolArray, FloatArray
+from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
 
-SHARPER = ("n_below", "chi2", "mean_z2", "amplitude_correlation")  # the last two with the statistic `amplitude`
-_SAMPLES = ("sample_id", "m_th_kev", "log10_m_halo_msun", "status")
 SUMMARY_SET_ROWS = 300  # pseudo-observations for the comparison of summary sets
+MIN_RANK_P = 0.05
 
 
 def run(
@@ -57,9 +53,12 @@ def run(
     output: Path,
     table_csv: Path,
     numbers_json: Path,
+    null_summaries: Path | None = None,
 ) -> None:
-    """Write the table, the posterior, and every number that comes of them."""
+    """Write the table, the posterior, and every number that comes of them; with the null test if there is one."""
     inputs = {"observed_summary": observed_summary, "smooth_model": smooth_model}
+    if null_summaries is not None:
+        inputs["null_summaries"] = null_summaries
     inputs |= {f"summaries/{path.stem}": path for path in summaries}
     provenance = Provenance("abc", settings.as_dict(), inputs, seed_key=f"{settings.seed}/abc")
     for path in inputs.values():
@@ -69,11 +68,12 @@ def run(
     table = read_table(summaries, settings.n_samples)
     good = (table["status"] == OK).to_numpy()
     n_failed = int((~good).sum())
-    _refuse_failures(table, n_failed, settings.abc.max_failed_fraction)
+    refuse_failures(table, n_failed, settings.abc.max_failed_fraction)
     if n_failed:
         upstream_warnings.append(f"{n_failed} of {len(table)} samples failed and are left out")
-    grids, values, observed = _read_summaries(summaries, observed_summary, good)
-    samples = _samples(settings, table[good], grids, values, observed)
+    compared, grids = read_summaries(summaries, observed_summary, null_summaries, good)
+    known, learned, missing = _points(settings, table[good], compared, grids)
+    samples = _headline_table(settings, table[good], known, missing)
     block = settings.abc
     try:
         found = analyse(
@@ -95,28 +95,33 @@ def run(
         rng,
     )
     predictive = {
-        kind: posterior_predictive(rows, row, found.acceptance.accepted)
-        for kind, rows, row in zip(KINDS, values, observed, strict=True)
+        kind: posterior_predictive(compared[kind].samples, compared[kind].observed, found.acceptance.accepted)
+        for kind in KINDS
     }
-    warnings = [*found.warnings, *upstream_warnings]
+    single = scalars(compared, grids)
+    ranks = {name: rank_among(item.samples, float(item.observed)) for name, item in single.items()}
+    null_found, null_arrays, warnings = _null_test(
+        settings, null_summaries, samples, known, compared, single, found
+    )
+    warnings = [*found.warnings, *_rank_warnings(ranks), *warnings, *upstream_warnings]
     for warning in warnings:
         log.warning(warning)
-    paper = np.array(
-        [
-            correlation_distance(grids[0], values[0], observed[0]),
-            cumulative_distance(grids[1], values[1], observed[1]),
-        ]
-    )
-    add_columns(table, good, paper, found)
+    add_columns(table, good, _paper_distances(compared, grids), single, samples.kinds, found)
     metadata: dict[str, Any] = {
         "n_samples": len(table),
         "n_failed": n_failed,
+        "summaries": block.summaries,
+        "kinds": list(samples.kinds),
         "distance": block.distance,
         "prior": settings.dark_matter.model_dump(mode="json"),
         **numbers(found, predictive, forecasts, warnings),
-        "summary_sets": _summary_sets(settings, samples, *_read_sharper(summaries, observed_summary, good)),
+        "observation_among_samples": {name: dataclasses.asdict(rank) for name, rank in ranks.items()},
+        "null_test": null_found,
+        "summary_sets": _summary_sets(settings, table[good], known, missing),
+        "learned": learned,
     }
-    digest = write_artifact(output, provenance, datasets(table, samples, found, predictive), metadata)
+    arrays = datasets(table, list(single), samples, found, predictive) | null_arrays
+    digest = write_artifact(output, provenance, arrays, metadata)
     with atomic_path(table_csv) as temporary:
         table.to_csv(temporary, index=False)
     with atomic_path(numbers_json) as temporary:
@@ -124,116 +129,102 @@ def run(
         temporary.write_text(json.dumps(whole, indent=2, allow_nan=False) + "\n")
 
 
+def _points(
+    settings: AbcSettings, table: pd.DataFrame, compared: Mapping[str, Summary], grids: Mapping[str, FloatArray]
+) -> tuple[dict[str, Summary], dict[str, Any], dict[str, str]]:
+    """Every kind of summary as points, how well the learned ones predict, and why a kind is missing."""
+    known = points(compared, grids, settings.abc.distance)
+    missing = {}
+    if "response" not in known:
+        missing["response"] = "the linear response needs scan.statistics: [delta_r, amplitude]"
+    parameters = table[["m_th_kev", "log10_m_halo_msun"]].to_numpy()
+    try:
+        more, learned = learned_points(parameters, compared, stream(settings.seed, "abc/learned", 0))
+    except ValueError as error:  # too few samples to learn from
+        return known, {"refused": str(error)}, missing | dict.fromkeys(LEARNED, str(error))
+    described = {"r_squared": list(learned.r_squared), "penalty": list(learned.penalty)}
+    return known | more, plain(described), missing
+
+
+def _headline_table(
+    settings: AbcSettings, table: pd.DataFrame, known: Mapping[str, Summary], missing: Mapping[str, str]
+) -> Table:
+    """Samples with the summaries of the headline."""
+    name = settings.abc.summaries
+    for kind in SETS[name]:
+        if kind in missing:
+            raise ArtifactError(f"abc.summaries: {name} cannot be used: {missing[kind]}")
+    return make_table(settings, table, {kind: known[kind] for kind in SETS[name]})
+
+
+def _paper_distances(compared: Mapping[str, Summary], grids: Mapping[str, FloatArray]) -> FloatArray:
+    """Integrals of the squared difference of samples and observation [2, n]."""
+    of_kind = {"correlation": correlation_distance, "cumulative": cumulative_distance}
+    return np.array(
+        [of_kind[kind](grids[kind], compared[kind].samples, compared[kind].observed) for kind in KINDS]
+    )
+
+
+def _rank_warnings(ranks: Mapping[str, Rank]) -> list[str]:
+    """Summaries in which hardly any sample is like the observation."""
+    return [
+        f"the observation is at the edge of the samples in {name}: {rank.rank:.1%} of them lie below its "
+        f"{rank.observed:.4g} (p = {rank.p_value:.2g}); mocks and observation may differ in more than substructure"
+        for name, rank in ranks.items()
+        if rank.p_value < MIN_RANK_P
+    ]
+
+
+def _null_test(
+    settings: AbcSettings,
+    path: Path | None,
+    samples: Table,
+    known: Mapping[str, Summary],
+    compared: Mapping[str, Summary],
+    single: Mapping[str, Summary],
+    found: Analysis,
+) -> tuple[dict[str, Any] | None, dict[str, Dataset], list[str]]:
+    """Numbers, arrays and warnings of the null test; nothing if there is none."""
+    if path is None:
+        return None, {}, []
+    mock_id, n_failed = read_null_table(path)
+    if not mock_id.size:
+        return None, {}, [f"null test: all {n_failed} mocks without substructure failed"]
+    test = null_test(
+        samples,
+        [known[kind].null for kind in samples.kinds],
+        found.cloud,
+        settings.abc.acceptance,
+        settings.abc.fraction,
+        stream(settings.seed, "abc/null", 0),
+    )
+    ranks = {name: rank_among(item.null, float(item.observed)) for name, item in single.items()}
+    everyone = np.ones(mock_id.size, dtype=bool)
+    predictive = {
+        kind: posterior_predictive(compared[kind].null, compared[kind].observed, everyone) for kind in KINDS
+    }
+    described = null_numbers(test, samples.kinds, found, ranks, predictive, n_failed)
+    arrays = null_datasets(mock_id, test, single, predictive)
+    return described, arrays, null_warnings(test, found, n_failed)
+
+
 def _summary_sets(
-    settings: AbcSettings, samples: Table, sharper: FloatArray, sharper_observed: FloatArray
+    settings: AbcSettings, table: pd.DataFrame, known: Mapping[str, Summary], missing: Mapping[str, str]
 ) -> dict[str, Any]:
     """Information and bound of every set of summaries, or why there is none."""
     block = settings.abc
-    try:
-        found = summary_sets(
-            samples,
+    result: dict[str, Any] = {}
+    for name in SETS:
+        kinds = kinds_of(name, known)
+        if not kinds:
+            result[name] = {"refused": missing[SETS[name][0]]}
+            continue
+        worth = summary_set(
+            make_table(settings, table, {kind: known[kind] for kind in kinds}),
             block.fraction,
             block.bootstrap,
             min(block.leave_one_out, SUMMARY_SET_ROWS),
             lambda name: stream(settings.seed, f"abc/sets/{name}", 0),
-            sharper,
-            sharper_observed,
         )
-    except ValueError as error:  # too few samples for learned summaries
-        return {"refused": str(error)}
-    return {name: plain(dataclasses.asdict(entry)) for name, entry in found.items()}
-
-
-def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
-    """Parameters and fate of samples 0..n_samples-1, in order.
-
-    Raises
-    ------
-    ArtifactError
-        If a sample is missing or occurs twice.
-    """
-    frames = []
-    for path in summaries:
-        with open_artifact(path, "summaries") as artifact:
-            frame = pd.DataFrame({name: artifact.array(f"samples/{name}") for name in _SAMPLES})
-            frame["message"] = artifact.strings("samples/message")
-        frames.append(frame)
-    table = pd.concat(frames, ignore_index=True)
-    table = table[table["sample_id"] < n_samples].reset_index(drop=True)
-    if not np.array_equal(table["sample_id"], np.arange(n_samples)):
-        missing = sorted(set(range(n_samples)) - set(table["sample_id"]))
-        raise ArtifactError(
-            f"the summaries do not hold samples 0..{n_samples - 1} once each, in order; missing: {missing[:5]}. "
-            "Run the campaign, which makes what is missing"
-        )
-    return table
-
-
-def _refuse_failures(table: pd.DataFrame, n_failed: int, limit: float) -> None:
-    if n_failed > limit * len(table):
-        first = table[table["status"] != OK].iloc[0]
-        raise ArtifactError(
-            f"{n_failed} of {len(table)} samples failed, more than abc.max_failed_fraction = {limit:g} allows; "
-            f"sample {first['sample_id']}: {first['message']} (the tracebacks are in the artifacts)"
-        )
-
-
-def _read_summaries(
-    summaries: Sequence[Path], observed: Path, good: BoolArray
-) -> tuple[tuple[FloatArray, ...], tuple[FloatArray, ...], tuple[FloatArray, ...]]:
-    """Grids, summaries of the good samples [n_good, n_grid] and of the observation [n_grid], one a kind."""
-    with open_artifact(observed, "observed_summary") as artifact:
-        grids = artifact.array("separation"), artifact.array("thresholds")
-        target = _summary_pair(artifact)
-    rows: list[tuple[FloatArray, ...]] = []
-    for path in summaries:
-        with open_artifact(path, "summaries") as artifact:
-            rows.append(_summary_pair(artifact))
-    values = tuple(np.concatenate(parts)[: len(good)][good] for parts in zip(*rows, strict=True))
-    return grids, values, target
-
-
-def _read_sharper(summaries: Sequence[Path], observed: Path, good: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """What the paper does not use, for the learned summaries: of good samples [n_good, k] and observation [k]."""
-    with open_artifact(observed, "observed_summary") as artifact:
-        kinds = SHARPER if "amplitude" in artifact.settings["scan"]["statistics"] else SHARPER[:2]
-        names = [f"{COMBINED}/{kind}" for kind in kinds]
-        target = np.concatenate([np.atleast_1d(artifact.array(name)) for name in names])
-    rows = []
-    for path in summaries:
-        with open_artifact(path, "summaries") as artifact:
-            arrays = [artifact.array(name) for name in names]
-        rows.append(np.hstack([array.reshape(len(array), -1) for array in arrays]))
-    return np.concatenate(rows)[: len(good)][good], target
-
-
-def _summary_pair(artifact: Artifact) -> tuple[FloatArray, ...]:
-    return tuple(artifact.array(f"{COMBINED}/{kind}") for kind in KINDS)
-
-
-def _samples(
-    settings: AbcSettings,
-    table: pd.DataFrame,
-    grids: tuple[FloatArray, ...],
-    values: tuple[FloatArray, ...],
-    observed: tuple[FloatArray, ...],
-) -> Table:
-    """The good samples as points whose squared distance is the one that the settings ask for."""
-    pairs = []
-    for grid, rows, row in zip(grids, values, observed, strict=True):
-        if settings.abc.distance == "whitened":
-            pairs.append(whitened_features(rows, row))
-        else:
-            pairs.append((integral_features(grid, rows), integral_features(grid, row)))
-    try:
-        return Table(
-            table["sample_id"].to_numpy(),
-            table["m_th_kev"].to_numpy(),
-            table["log10_m_halo_msun"].to_numpy(),
-            settings.dark_matter.m_th_kev,
-            settings.dark_matter.log10_m_halo_msun,
-            tuple(rows for rows, _ in pairs),
-            tuple(row for _, row in pairs),
-        )
-    except ValueError as error:
-        raise ArtifactError(f"the table of samples cannot be used: {error}") from error
+        result[name] = plain(dataclasses.asdict(worth))
+    return result

@@ -17,6 +17,7 @@ from warmlens.inference.calibration import CDM_LIKE_KEV, MASS_BINS_KEV, MIN_ROWS
 from warmlens.inference.checks import Predictive
 from warmlens.inference.combine import Forecast
 from warmlens.inference.likelihood import BoundaryKernels
+from warmlens.inference.summary_sets import Summary
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray
 
@@ -28,8 +29,6 @@ _COLUMNS = {
     "message": ("", "why the sample failed"),
     "distance_correlation": ("arcsec", "integral of the squared difference of C(dr)"),
     "distance_cumulative": ("", "integral of the squared difference of the cumulative distributions"),
-    "cut_correlation": ("", "distance in C(dr) that the acceptance used: the same unless whitened"),
-    "cut_cumulative": ("", "distance of the cumulative distributions that the acceptance used"),
     "max_rank": ("", "larger rank of the distances that the rule cut on"),
     "accepted": ("", "1 for accepted samples"),
     "weight": ("", "posterior weight"),
@@ -39,8 +38,15 @@ _COLUMNS = {
 }
 
 
-def add_columns(table: pd.DataFrame, good: BoolArray, paper: FloatArray, found: Analysis) -> None:
-    """Add distances, acceptance, weights and adjusted parameters to the table of all samples.
+def add_columns(
+    table: pd.DataFrame,
+    good: BoolArray,
+    paper: FloatArray,
+    single: Mapping[str, Summary],
+    kinds: tuple[str, ...],
+    found: Analysis,
+) -> None:
+    """Add summaries, distances, acceptance, weights and adjusted parameters to the table of all samples.
 
     Parameters
     ----------
@@ -50,12 +56,19 @@ def add_columns(table: pd.DataFrame, good: BoolArray, paper: FloatArray, found: 
         Rows that have summaries [n].
     paper
         The paper's distances of these [2, n_good].
+    single
+        Summaries that are single numbers.
+    kinds
+        Kinds of summaries that the acceptance cut on.
     found
         The analysis of these.
     """
-    for kind, values, used in zip(KINDS, paper, found.distances, strict=True):
+    for name, item in single.items():
+        table.loc[good, name] = item.samples
+    for kind, values in zip(KINDS, paper, strict=True):
         table.loc[good, f"distance_{kind}"] = values
-        table.loc[good, f"cut_{kind}"] = used
+    for kind, values in zip(kinds, found.distances, strict=True):
+        table.loc[good, f"cut_{kind}"] = values
     table.loc[good, "max_rank"] = found.acceptance.max_rank
     table["accepted"] = False
     table.loc[good, "accepted"] = found.acceptance.accepted
@@ -71,13 +84,17 @@ def add_columns(table: pd.DataFrame, good: BoolArray, paper: FloatArray, found: 
 
 def datasets(
     table: pd.DataFrame,
+    single: Sequence[str],
     samples: Table,
     found: Analysis,
     predictive: Mapping[str, Predictive],
 ) -> dict[str, Dataset]:
-    """All arrays of the artifact."""
+    """All arrays of the artifact; `single` are the columns of the summaries that are single numbers."""
     result = {}
-    for name, (unit, description) in _COLUMNS.items():
+    columns = dict(_COLUMNS)
+    columns |= {f"cut_{kind}": ("", f"distance in {kind} that the acceptance used") for kind in samples.kinds}
+    columns |= {name: ("", f"{name} of the sample") for name in single}
+    for name, (unit, description) in columns.items():
         column = table[name]
         data: Any = column.tolist() if name == "message" else column.to_numpy()
         result[f"table/{name}"] = Dataset(data, unit, ("sample",), description)

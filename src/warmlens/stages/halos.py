@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from warmlens.artifacts import Dataset, Provenance, write_artifact
-from warmlens.campaign import Span, draw_parameters, stream
+from warmlens.campaign import Parameters, Span, draw_parameters, grid_parameters, stream
 from warmlens.config import CosmologyBlock, HalosBlock, RedshiftBlock
 from warmlens.cosmology import Cosmology, LensGeometry
 from warmlens.halos.merger_tree import BRANCHING
@@ -22,7 +22,7 @@ from warmlens.halos.population import (
     Subhalos,
 )
 from warmlens.stages.samples import SampleTable
-from warmlens.stages.settings import HalosSettings
+from warmlens.stages.settings import GridNodes, HalosSettings
 
 # unit and description of each subhalo column
 COLUMNS = {
@@ -67,11 +67,18 @@ def halo_model(halos: HalosBlock) -> HaloModel:
     return HaloModel(tau_dyn=tau_dyn, positions=positions, branching=branching, **physics)  # type: ignore[arg-type]
 
 
+def parameters_of(settings: HalosSettings, span: Span) -> Parameters:
+    """Parameters of the samples of a span: nodes of the grid, or draws from the prior."""
+    chosen = settings.dark_matter
+    if isinstance(chosen, GridNodes):
+        return grid_parameters(span, chosen.m_th_kev, chosen.log10_m_halo_msun)
+    return draw_parameters(settings.seed, span, chosen.m_th_kev, chosen.log10_m_halo_msun)
+
+
 def run(settings: HalosSettings, span: Span, output: Path) -> None:
     """Draw and write the realizations of samples start..stop-1."""
     provenance = Provenance("halos", settings.as_dict(), seed_key=f"{settings.seed}/halos/SAMPLE", span=span)
-    prior = settings.dark_matter
-    table = SampleTable(draw_parameters(settings.seed, span, prior.m_th_kev, prior.log10_m_halo_msun))
+    table = SampleTable(parameters_of(settings, span))
     generator = halo_generator(settings.cosmology, settings.redshifts, settings.halos)
     realizations: list[HaloRealization | None] = [None] * len(table)
 

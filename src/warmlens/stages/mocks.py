@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
 from warmlens.campaign import stream
@@ -14,8 +16,8 @@ from warmlens.imaging.observation import Band
 from warmlens.imaging.psf import Convolution, point_source
 from warmlens.lensing.images import DeflectionField, moved_images
 from warmlens.stages.products import SmoothModel, read_observation, read_smooth_model, scan_band
-from warmlens.stages.samples import SampleTable
-from warmlens.stages.settings import MocksSettings
+from warmlens.stages.samples import SampleTable, null
+from warmlens.stages.settings import MocksSettings, NullMocksSettings
 from warmlens.types import FloatArray
 
 
@@ -62,15 +64,42 @@ def run(settings: MocksSettings, deflections: Path, observation: Path, smooth_mo
                 images[band.name][row] = band.noise.draw(clean, band.sigma, rng)
 
         table.for_each(image, "mocks")
-    datasets = {
-        f"{name}/image": Dataset(data, "electron / s", ("sample", "y", "x"), "noisy mock of the observation")
-        for name, data in images.items()
-    }
+    datasets = _image_datasets(images)
     if solved:
         datasets["quasar_positions"] = Dataset(
             positions, "arcsec", ("sample", "image", "component"), "where the quasar images stand (x, y)"
         )
     write_artifact(output, provenance, {**table.datasets(), **datasets}, {"bands": list(images)})
+
+
+def run_null(settings: NullMocksSettings, observation: Path, smooth_model: Path, output: Path) -> None:
+    """Write noisy images of the smooth model alone, Delta alpha = 0, as many as the null test asks for."""
+    n = settings.null_test.n_mocks
+    observed = read_observation(observation)
+    model = read_smooth_model(smooth_model)
+    provenance = Provenance(
+        null("mocks"),
+        settings.as_dict(),
+        {"observation": observation, "smooth_model": smooth_model},
+        seed_key=f"{settings.seed}/null/MOCK/BAND",
+        span=(0, n),
+    )
+    table = SampleTable.without_substructure(n)
+    images = {}
+    nothing = np.zeros((2, *observed.grid.shape))
+    for name in (band.name for band in observed.bands):
+        band, convolution = scan_band(observed, model, name)
+        clean = noise_free_image(model, observed.grid, band, convolution, nothing)
+        drawn = [band.noise.draw(clean, band.sigma, stream(settings.seed, "null", i, name)) for i in range(n)]
+        images[name] = np.array(drawn, dtype=np.float32)
+    write_artifact(output, provenance, {**table.datasets(), **_image_datasets(images)}, {"bands": list(images)})
+
+
+def _image_datasets(images: Mapping[str, NDArray[np.float32]]) -> dict[str, Dataset]:
+    return {
+        f"{name}/image": Dataset(data, "electron / s", ("sample", "y", "x"), "noisy mock of the observation")
+        for name, data in images.items()
+    }
 
 
 def noise_free_image(

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts import Artifact, Dataset, open_artifact
+from warmlens.artifacts import Artifact, Dataset, open_artifact, reading
 from warmlens.fitting.linear import LinearModel
 from warmlens.fitting.smooth_model import BandFit
 from warmlens.imaging.grid import PixelGrid
@@ -47,7 +47,8 @@ def observation_datasets(observation: Observation) -> tuple[dict[str, Dataset], 
 
 def read_observation(path: Path) -> Observation:
     """Observation of an artifact."""
-    with open_artifact(path, "observation") as artifact:
+    with open_artifact(path, "observation") as artifact, reading(path):
+        grid = _grid(artifact.metadata["grid"])
         bands = tuple(
             Band(
                 name=name,
@@ -59,7 +60,13 @@ def read_observation(path: Path) -> Observation:
             )
             for name in artifact.metadata["bands"]
         )
-        return Observation(artifact.metadata["kind"], _grid(artifact.metadata["grid"]), bands)
+        for band in bands:
+            for label, array in (("image", band.image), ("sigma", band.sigma), ("mask", band.mask)):
+                if array.shape != grid.shape:
+                    raise ValueError(f"{label} of band {band.name} has shape {array.shape}, not {grid.shape}")
+            if band.psf.ndim != 2:
+                raise ValueError(f"the PSF of band {band.name} has {band.psf.ndim} dimensions")
+        return Observation(artifact.metadata["kind"], grid, bands)
 
 
 def _grid(stored: dict[str, Any]) -> PixelGrid:
@@ -168,7 +175,7 @@ def smooth_model_datasets(model: SmoothModel) -> tuple[dict[str, Dataset], dict[
 
 def read_smooth_model(path: Path) -> SmoothModel:
     """Smooth model of an artifact."""
-    with open_artifact(path, "smooth_model") as artifact:
+    with open_artifact(path, "smooth_model") as artifact, reading(path):
         meta = artifact.metadata
         rays = SmoothRays(
             *(artifact.array(f"rays/{name}") for name in ("theta_x", "theta_y", "source_x", "source_y"))

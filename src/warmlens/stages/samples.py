@@ -18,6 +18,18 @@ log = logging.getLogger(__name__)
 
 OK, FAILED_HERE, FAILED_UPSTREAM = 0, 1, 2
 _REPORT_SECONDS = 10.0
+_PARAMETERS = ("sample_id", "m_th_kev", "log10_m_halo_msun")
+_NULL = "null_"  # a stage of the null test is called as the one whose work it does, with this before
+
+
+def null(stage: str) -> str:
+    """Stage of the null test that does the work of `stage`."""
+    return _NULL + stage
+
+
+def after(artifact: Artifact, stage: str) -> str:
+    """`stage`, or that of the null test if the artifact that it works on is of the null test."""
+    return null(stage) if artifact.stage.startswith(_NULL) else stage
 
 
 @dataclass
@@ -62,18 +74,24 @@ class SampleTable:
     @classmethod
     def read(cls, artifact: Artifact) -> SampleTable:
         """Table of an earlier stage; its failures become `FAILED_UPSTREAM`."""
-        table = cls(
-            Parameters(
-                artifact.array("samples/sample_id"),
-                artifact.array("samples/m_th_kev"),
-                artifact.array("samples/log10_m_halo_msun"),
+        numbers = [artifact.array(f"samples/{name}") for name in (*_PARAMETERS, "status")]
+        texts = [artifact.strings(f"samples/{name}") for name in ("message", "traceback")]
+        shapes = {array.shape for array in numbers} | {(len(text),) for text in texts}
+        if len(shapes) != 1 or len(numbers[0].shape) != 1:
+            raise ArtifactError(
+                f"{artifact.path}: its table of samples has columns of different shapes {sorted(shapes)}; "
+                "delete the file and run the campaign again"
             )
-        )
-        failed = artifact.array("samples/status") != OK
-        table.status[failed] = FAILED_UPSTREAM
-        table.message = artifact.strings("samples/message")
-        table.trace = artifact.strings("samples/traceback")
+        table = cls(Parameters(*numbers[:-1]))
+        table.status[numbers[-1] != OK] = FAILED_UPSTREAM
+        table.message, table.trace = texts
         return table
+
+    @classmethod
+    def without_substructure(cls, n: int) -> SampleTable:
+        """Table of n mocks of the null test; they have no relic mass and no halo."""
+        nothing = np.full(n, np.nan)
+        return cls(Parameters(np.arange(n), nothing, nothing))
 
     def for_each(self, work: Callable[[int], None], label: str) -> None:
         """Call `work(row)` for every row that has not failed; record a failure and go on.

@@ -31,7 +31,7 @@ from warmlens.stages.products import (
     read_smooth_model,
     scan_band,
 )
-from warmlens.stages.samples import SampleTable
+from warmlens.stages.samples import SampleTable, after, null
 from warmlens.stages.scan_operator import check_origin, scan_perturber, scan_raster
 from warmlens.stages.settings import ScanSettings
 from warmlens.types import BoolArray, FloatArray, IntArray
@@ -197,11 +197,11 @@ def run(
     shards: Sequence[Path],
     output: Path,
 ) -> None:
-    """Write Delta R and the chi2 of the smooth fit of every mock of a chunk."""
+    """Write Delta R and the chi2 of the smooth fit of every mock of a chunk, or of the null test."""
     scanner = Scanner(settings, observation, smooth_model, design, shards)
-    with open_artifact(mocks, "mocks") as artifact:
+    with open_artifact(mocks, "mocks", null("mocks")) as artifact:
         inputs = {"mocks": mocks, **scanner.inputs}
-        provenance = Provenance("scans", settings.as_dict(), inputs, span=artifact.span)
+        provenance = Provenance(after(artifact, "scans"), settings.as_dict(), inputs, span=artifact.span)
         table = SampleTable.read(artifact)
         done = table.done
         ids = table.parameters.sample_id[done]

@@ -7,7 +7,7 @@ code of a stage changes its numbers, which reruns that stage and what depends on
 from __future__ import annotations
 
 import json
-from typing import Any
+from typing import Any, Literal
 
 from warmlens.artifacts import settings_digest
 from warmlens.config import (
@@ -18,6 +18,7 @@ from warmlens.config import (
     DeflectionsBlock,
     HalosBlock,
     MocksBlock,
+    NullTestBlock,
     ObservationBlock,
     RedshiftBlock,
     ScanBlock,
@@ -73,11 +74,19 @@ class ScanSettings(StageSettings):
         return self.model_copy(update={"scan": self.scan.model_copy(update={"sensitivity": None})})
 
 
+class GridNodes(Block):
+    """Nodes of a grid campaign, in place of the prior; how often each is realized changes no sample."""
+
+    design: Literal["grid"]
+    m_th_kev: list[float]
+    log10_m_halo_msun: list[float]
+
+
 class HalosSettings(StageSettings):
-    """Prior and halo physics."""
+    """Prior or nodes, and halo physics."""
 
     seed: int
-    dark_matter: DarkMatterBlock
+    dark_matter: DarkMatterBlock | GridNodes
     cosmology: CosmologyBlock
     redshifts: RedshiftBlock
     halos: HalosBlock
@@ -99,10 +108,17 @@ class MocksSettings(StageSettings):
     mocks: MocksBlock
 
 
+class NullMocksSettings(StageSettings):
+    """Seed of the noise, and how many."""
+
+    seed: int
+    null_test: NullTestBlock
+
+
 class SummariesSettings(StageSettings):
     """Raster and summary statistics."""
 
-    stage_version: int = 2
+    stage_version: int = 3
     scan: ScanBlock
     summaries: SummariesBlock
 
@@ -110,7 +126,7 @@ class SummariesSettings(StageSettings):
 class AbcSettings(StageSettings):
     """Acceptance, and the digests of the settings that every stage above must have had."""
 
-    stage_version: int = 2
+    stage_version: int = 3
     seed: int
     n_samples: int
     dark_matter: DarkMatterBlock
@@ -118,7 +134,18 @@ class AbcSettings(StageSettings):
     upstream: dict[str, str]
 
 
-STAGES = (
+class ExclusionSettings(StageSettings):
+    """Acceptance on a grid, and the digests of the settings that every stage above must have had."""
+
+    seed: int
+    n_samples: int
+    dark_matter: DarkMatterBlock
+    nodes: GridNodes
+    abc: AbcBlock
+    upstream: dict[str, str]
+
+
+STAGES = (  # of a campaign that draws from the prior
     "observation",
     "smooth_model",
     "scan_design",
@@ -130,8 +157,27 @@ STAGES = (
     "mocks",
     "scans",
     "summaries",
+    "null_mocks",
+    "null_scans",
+    "null_summaries",
     "abc",
 )
+
+
+GRID_STAGES = (*(stage for stage in STAGES if stage != "abc" and not stage.startswith("null_")), "exclusion")
+
+
+def campaign_stages(config: Config) -> tuple[str, ...]:
+    """Stages that a campaign runs; the last one gives its answer: `abc`, or `exclusion` on a grid."""
+    return GRID_STAGES if config.campaign.design == "grid" else STAGES
+
+
+def grid_nodes(config: Config) -> GridNodes | None:
+    """Nodes of a grid campaign; None for one that draws from the prior."""
+    grid = config.campaign.grid
+    if grid is None:
+        return None
+    return GridNodes(design="grid", m_th_kev=grid.m_th_kev, log10_m_halo_msun=grid.log10_m_halo_msun)
 
 
 def stage_settings(config: Config, stage: str) -> StageSettings:
@@ -140,9 +186,9 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
     simulated = c.observation.kind == "simulated"
     match stage:
         case "observation":
-            other = "fits" if simulated else "simulated"
+            others = {kind: None for kind in ("simulated", "fits", "artifact") if kind != c.observation.kind}
             return ObservationSettings(
-                observation=c.observation.model_copy(update={other: None}),
+                observation=c.observation.model_copy(update=others),
                 cosmology=c.cosmology if simulated else None,
                 redshifts=c.redshifts if simulated else None,
                 halos=c.halos if simulated else None,
@@ -150,7 +196,7 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
             )
         case "smooth_model":
             return SmoothModelSettings(smooth_model=c.smooth_model)
-        case "scan_design" | "scan_operator":
+        case "scan_design" | "scan_operator" | "null_scans":
             return ScanSettings(scan=c.scan).without_samples()
         case "observed_scan":
             scan = c.scan.model_copy(update={"residual_samples": []})
@@ -160,13 +206,13 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
             )
         case "scans":
             return ScanSettings(scan=c.scan).without_sensitivity()
-        case "observed_summary" | "summaries":
+        case "observed_summary" | "summaries" | "null_summaries":
             scan = ScanSettings(scan=c.scan).without_samples().scan
             return SummariesSettings(scan=scan, summaries=c.summaries)
         case "halos":
             return HalosSettings(
                 seed=c.campaign.seed,
-                dark_matter=c.dark_matter,
+                dark_matter=grid_nodes(c) or c.dark_matter,
                 cosmology=c.cosmology,
                 redshifts=c.redshifts,
                 halos=c.halos,
@@ -175,6 +221,8 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
             return DeflectionsSettings(cosmology=c.cosmology, redshifts=c.redshifts, deflections=c.deflections)
         case "mocks":
             return MocksSettings(seed=c.campaign.seed, mocks=c.mocks)
+        case "null_mocks":
+            return NullMocksSettings(seed=c.campaign.seed, null_test=c.null_test)
         case "abc":
             return AbcSettings(
                 seed=c.campaign.seed,
@@ -183,12 +231,23 @@ def stage_settings(config: Config, stage: str) -> StageSettings:
                 abc=c.abc,
                 upstream={name: _digest(c, name) for name in STAGES if name != "abc"},
             )
-    raise ValueError(f"unknown stage {stage!r}; stages are {', '.join(STAGES)}")
+        case "exclusion" if (nodes := grid_nodes(c)) is not None:
+            return ExclusionSettings(
+                seed=c.campaign.seed,
+                n_samples=c.campaign.n_samples,
+                dark_matter=c.dark_matter,
+                nodes=nodes,
+                abc=c.abc,
+                upstream={name: _digest(c, name) for name in GRID_STAGES if name != "exclusion"},
+            )
+        case "exclusion":
+            raise ValueError("stage 'exclusion' belongs to campaign.design: grid, and this campaign has none")
+    raise ValueError(f"unknown stage {stage!r}; stages are {', '.join((*STAGES, 'exclusion'))}")
 
 
 def stage_digests(config: Config) -> dict[str, str]:
     """Digest of the settings of every stage under `config`."""
-    return {stage: _digest(config, stage) for stage in STAGES}
+    return {stage: _digest(config, stage) for stage in campaign_stages(config)}
 
 
 def _digest(config: Config, stage: str) -> str:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from warmlens.artifacts import Artifact, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.stages.samples import SampleTable
+from warmlens.stages.samples import SampleTable, after, null
 from warmlens.stages.settings import SummariesSettings
 from warmlens.summaries.correlation import PairGeometry, correlation_function
 from warmlens.summaries.cumulative import counts_below, cumulative_distribution, threshold_grid
@@ -22,9 +22,10 @@ Scan = dict[str, dict[str, FloatArray]]  # what the scan found, by band and name
 
 
 def run(settings: SummariesSettings, scans: Path, output: Path) -> None:
-    """Summarise the scans of a chunk."""
-    with open_artifact(scans, "scans") as artifact:
-        provenance = Provenance("summaries", settings.as_dict(), {"scans": scans}, span=artifact.span)
+    """Summarise the scans of a chunk, or of the null test."""
+    with open_artifact(scans, "scans", null("scans")) as artifact:
+        stage = after(artifact, "summaries")
+        provenance = Provenance(stage, settings.as_dict(), {"scans": scans}, span=artifact.span)
         table = SampleTable.read(artifact)
         found = _read_scan(artifact)
         summary = _Summary(settings, artifact)
@@ -68,6 +69,7 @@ class _Summary:
         self.valid = scan.array("raster/valid")
         self.pairs = PairGeometry.from_raster(self.valid, settings.scan.step_arcsec, block.max_separation_arcsec)
         self.thresholds = threshold_grid(block.cumulative_min, block.threshold, block.cumulative_bins)
+        self.count_thresholds = np.array(block.count_thresholds)
 
     def of_scan(self, scan: Scan) -> dict[str, FloatArray]:
         """Summaries of one image, per band and of the sum of the bands."""
@@ -78,7 +80,8 @@ class _Summary:
             delta_r = maps["delta_r"]
             result[f"{band}/correlation"] = correlation_function(delta_r, self.pairs, self.threshold)
             result[f"{band}/cumulative"] = cumulative_distribution(delta_r, self.valid, self.thresholds)
-            result[f"{band}/n_below"] = counts_below(delta_r, self.valid, np.array([self.threshold]))[0]
+            counts = counts_below(delta_r, self.valid, self.count_thresholds)
+            result[f"{band}/counts"] = counts.astype(np.float64)
             result[f"{band}/chi2"] = maps["chi2"]
             if "score" in maps:
                 score, fisher = maps["score"], maps["fisher"]
@@ -91,7 +94,7 @@ class _Summary:
         sizes: dict[str, tuple[int, ...]] = {
             "correlation": (len(self.pairs.dr_arcsec),),
             "cumulative": self.thresholds.shape,
-            "n_below": (),
+            "counts": self.count_thresholds.shape,
             "chi2": (),
         }
         if "score" in next(iter(scan.values())):
@@ -104,7 +107,7 @@ class _Summary:
         described = {
             "correlation": (separation, "C(dr): mean product of Delta R below the threshold"),
             "cumulative": ((*lead, "threshold"), "fraction of positions with Delta R below each threshold"),
-            "n_below": (lead, "positions with Delta R below the threshold"),
+            "counts": ((*lead, "count threshold"), "positions with Delta R below each count threshold"),
             "chi2": (lead, "chi2 of the fit with the smooth lens"),
             "mean_z2": (lead, "mean of score^2 / Fisher information over the positions"),
             "amplitude_correlation": (separation, "correlation of the amplitude, weighted by the sensitivity"),
@@ -116,4 +119,7 @@ class _Summary:
         datasets["separation"] = Dataset(self.pairs.dr_arcsec, "arcsec", ("separation",), "bins of C(dr)")
         datasets["pair_counts"] = Dataset(self.pairs.counts, "", ("separation",), "pairs of positions a bin")
         datasets["thresholds"] = Dataset(self.thresholds, "", ("threshold",), "values of Delta R")
+        datasets["count_thresholds"] = Dataset(
+            self.count_thresholds, "", ("count threshold",), "values of Delta R below which positions are counted"
+        )
         return datasets

@@ -26,7 +26,7 @@ class LearnedSummaries:
     samples
         Prediction for each sample by the models of the other folds [n, n_parameters].
     observed
-        Mean prediction of all folds' models for the observation [n_parameters].
+        Mean prediction of all folds' models for the observation, or for several [..., n_parameters].
     r_squared
         Cross-validated fraction of the variance that is predicted [n_parameters]; <= 0 if nothing is.
     penalty
@@ -53,8 +53,8 @@ def learned_summaries(
     parameters
         [n, n_parameters].
     features, observed
-        Summaries of the samples [n, n_features] and of the observation [n_features]. They enter as
-        asinh(x / rms), which tames their tails, standardised.
+        Summaries of the samples [n, n_features] and of the observation, or of several [..., n_features]. They
+        enter as asinh(x / rms), which tames their tails, standardised.
     rng
         Generator of the folds.
     n_folds
@@ -68,26 +68,26 @@ def learned_summaries(
     n = len(parameters)
     if n < MIN_SAMPLES:
         raise ValueError(f"learned summaries need {MIN_SAMPLES} samples, there are {n}; raise campaign.n_samples")
-    x, x_observed = _standardised(features, observed)
+    x, x_observed = _standardised(features, observed.reshape(-1, features.shape[1]))
     fold = rng.permutation(np.arange(n) % n_folds)
     predictions = np.empty((PENALTIES.size, *parameters.shape))
-    of_observed = np.zeros((PENALTIES.size, parameters.shape[1]))
+    of_observed = np.zeros((PENALTIES.size, len(x_observed), parameters.shape[1]))
+    mean = parameters.mean(axis=0)  # the same for all: a constant of each fold would tell the folds apart
     for i in range(n_folds):
         train, test = fold != i, fold == i
-        mean_x, mean_y = x[train].mean(axis=0), parameters[train].mean(axis=0)
-        gram = (x[train] - mean_x).T @ (x[train] - mean_x)
-        values, vectors = np.linalg.eigh(gram)
-        projected = vectors.T @ ((x[train] - mean_x).T @ (parameters[train] - mean_y))
+        centred = x[train] - x[train].mean(axis=0)
+        values, vectors = np.linalg.eigh(centred.T @ centred)
+        projected = vectors.T @ (centred.T @ (parameters[train] - parameters[train].mean(axis=0)))
         shrunk = projected / (np.maximum(values, 0.0)[:, None] + PENALTIES[:, None, None])  # [n_penalties, p, n_y]
-        predictions[:, test] = mean_y + (x[test] - mean_x) @ vectors @ shrunk
-        of_observed += (mean_y + (x_observed - mean_x) @ vectors @ shrunk) / n_folds
+        predictions[:, test] = mean + x[test] @ vectors @ shrunk
+        of_observed += (mean + x_observed @ vectors @ shrunk) / n_folds
     error = np.square(predictions - parameters).mean(axis=1)  # [n_penalties, n_parameters]
     best = error.argmin(axis=0)
     column = np.arange(parameters.shape[1])
     variance = parameters.var(axis=0)
     return LearnedSummaries(
         samples=predictions[best, :, column].T,
-        observed=of_observed[best, column],
+        observed=of_observed[best, :, column].T.reshape(*observed.shape[:-1], -1),
         r_squared=1.0 - error[best, column] / np.where(variance > 0.0, variance, 1.0),
         penalty=PENALTIES[best],
     )
@@ -97,8 +97,8 @@ def _standardised(features: FloatArray, observed: FloatArray) -> tuple[FloatArra
     """Transformed features with mean 0 and variance 1 over the samples; constant ones are left out."""
     used = np.ptp(features, axis=0) > 0.0
     if not used.any():
-        return np.zeros((len(features), 1)), np.zeros(1)
-    rows, row = features[:, used], observed[used]
+        return np.zeros((len(features), 1)), np.zeros((len(observed), 1))
+    rows, row = features[:, used], observed[:, used]
     scale = np.sqrt(np.square(rows).mean(axis=0))
     rows, row = np.arcsinh(rows / scale), np.arcsinh(row / scale)
     mean, spread = rows.mean(axis=0), rows.std(axis=0)

@@ -1,0 +1,132 @@
+"""`warmlens run | resume | extend`: Snakemake with the flags that a campaign needs, and the time that is left."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from warmlens import runs
+from warmlens.artifacts import ArtifactError, atomic_path
+from warmlens.config_file import parse_config
+from warmlens.layout import CONFIG
+from warmlens.status import campaign_status, progress_line, read_campaign
+
+_REPORT_SECONDS = 15.0
+_POLL_SECONDS = 0.2
+PROFILE = Path("workflow/profiles/local")
+
+
+def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str]) -> int:
+    """Run Snakemake on config.yaml and overlays in this folder; return its exit code.
+
+    Parameters
+    ----------
+    overlays
+        Configuration files, later ones win.
+    results
+        Results folder that they name, for the progress.
+    cores
+        Jobs at a time.
+    extra
+        Passed to Snakemake as they are: targets and flags.
+
+    Raises
+    ------
+    ArtifactError
+        If this is not the folder of the workflow.
+    LockedError
+        If another Snakemake is at work here, or may be.
+    """
+    folder = Path()
+    if not (folder / "Snakefile").is_file():
+        raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
+    command = [str(Path(sys.executable).parent / "snakemake"), *extra, "--cores", str(cores)]
+    command += ["--workflow-profile", str(PROFILE)]
+    if overlays:
+        command += ["--configfile", *map(str, overlays)]
+    if runs.is_locked(folder):
+        runs.check_abandoned(folder)
+        print("the last run was killed; its lock is lifted, what it had finished is kept", flush=True)
+        subprocess.run([*command, "--unlock", "--quiet"], check=True)
+    runs.forget_gone(folder)
+    return _watch(command, results, cores)
+
+
+def resume(results: Path, cores: int, extra: Sequence[str]) -> int:
+    """Go on with a campaign as it was last started; return Snakemake's exit code."""
+    _read_own(results)
+    return run([results / CONFIG], results, cores, extra)
+
+
+def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str]) -> int:
+    """Raise the number of samples of a campaign and go on with it; return Snakemake's exit code.
+
+    Raises
+    ------
+    ArtifactError
+        If it has as many already.
+    """
+    path = results / CONFIG
+    raw = _read_own(results)
+    present = raw["campaign"]["n_samples"]
+    if n_samples <= present:
+        raise ArtifactError(f"{path}: the campaign has {present} samples already; extend takes the new total")
+    raw["campaign"]["n_samples"] = n_samples
+    parse_config(raw)
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(raw, indent=2))
+    return run([path], results, cores, extra)
+
+
+def _read_own(results: Path) -> dict[str, Any]:
+    """Configuration of the campaign in `results`, which must lie where it says.
+
+    Raises
+    ------
+    ArtifactError
+        If the folder was moved: Snakemake would begin anew where it was.
+    """
+    read_campaign(results)
+    raw: dict[str, Any] = json.loads((results / CONFIG).read_text())
+    if Path(raw["results"]).resolve() != results.resolve():
+        raise ArtifactError(
+            f"{results / CONFIG}: the campaign was started as {raw['results']} and now lies in {results}; move it "
+            "back, start from the folder that it was started from, or change `results` in that file"
+        )
+    return raw
+
+
+def _watch(command: Sequence[str], results: Path, cores: int) -> int:
+    """Run a command, say every now and then how far the campaign is, and hand signals on."""
+    process = subprocess.Popen(command)
+
+    def stop(number: int, _: FrameType | None) -> None:
+        process.send_signal(number)
+
+    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
+    # Ctrl-C reaches Snakemake from the terminal, which then waits for its jobs: so does this.
+    before[signal.SIGINT] = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        last = time.monotonic()
+        while process.poll() is None:
+            time.sleep(_POLL_SECONDS)
+            if time.monotonic() - last > _REPORT_SECONDS and (results / CONFIG).is_file():
+                print(progress_line(campaign_status(read_campaign(results)), cores), flush=True)
+                last = time.monotonic()
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    return process.returncode
+
+
+def default_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,202 @@
+"""HDF5 files are data of unknown origin: what an artifact may consist of, checked before anything is read.
+
+An artifact holds plain arrays behind plain links, all of it stored in the file itself. Everything else that
+HDF5 knows (links and storage in other files, virtual datasets, references, filters from plugins) is refused, and
+so is whatever would need far more memory than the file suggests.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import h5py
+import numpy as np
+
+_MAX_DEPTH = 6  # groups within groups
+_MAX_NODES = 2000
+_MAX_INFLATED_BYTES = 2**32  # of a compressed dataset
+_MAX_INFLATION = 1100  # deflate reaches 1032
+_MAX_PACKED_BYTES = 2**22  # of a compressed chunk: what it inflates to is known only afterwards
+_STRING_BLOCK_BYTES = 2**28
+_MAX_TEXT = 2**25  # of an attribute; metadata and inputs of the largest campaigns are below 2**21
+_MAX_EDGE = 9_999_999  # of a span: file names have seven digits
+_FILTERS = frozenset({h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32})
+_LAYOUTS = frozenset({h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED})
+
+
+class UnusableFileError(ValueError):
+    """What is in the file that no artifact has."""
+
+
+def dataset_names(file: h5py.File, file_bytes: int) -> tuple[str, ...]:
+    """Names of all datasets, sorted, after checking every group and dataset of the file.
+
+    Parameters
+    ----------
+    file
+        Open file.
+    file_bytes
+        Its size on disk.
+
+    Raises
+    ------
+    UnusableFileError
+        If something is reached by anything but one hard link, is nested too deep, or is no plain array that
+        is stored in this file with the filters of an artifact.
+    """
+    names = []
+    n_nodes = 0
+    pending: list[tuple[str, h5py.h5g.GroupID]] = [("", file["/"].id)]
+    while pending:
+        prefix, group = pending.pop()
+        for key in group:
+            name, n_nodes = prefix + key.decode(), n_nodes + 1
+            if n_nodes > _MAX_NODES:
+                raise UnusableFileError(f"it has more than {_MAX_NODES} groups and datasets")
+            if group.links.get_info(key).type != h5py.h5l.TYPE_HARD:
+                raise UnusableFileError(f"{name!r} is a link to elsewhere")
+            node = h5py.h5o.open(group, key)
+            if h5py.h5o.get_info(node).rc != 1:
+                raise UnusableFileError(f"{name!r} is linked more than once")
+            if isinstance(node, h5py.h5d.DatasetID):
+                _check_dataset(node, name, file_bytes)
+                names.append(name)
+            elif not isinstance(node, h5py.h5g.GroupID):
+                raise UnusableFileError(f"{name!r} is neither a dataset nor a group")
+            elif name.count("/") >= _MAX_DEPTH:
+                raise UnusableFileError(f"its groups are nested more than {_MAX_DEPTH} deep")
+            else:
+                pending.append((f"{name}/", node))
+    return tuple(sorted(names))
+
+
+def _check_dataset(node: h5py.h5d.DatasetID, name: str, file_bytes: int) -> None:
+    creation = node.get_create_plist()
+    layout = creation.get_layout()
+    if layout not in _LAYOUTS or creation.get_external_count():
+        raise UnusableFileError(f"dataset {name!r} is stored in other files")
+    filters = {creation.get_filter(i)[0] for i in range(creation.get_nfilters())}
+    if not filters <= _FILTERS:
+        raise UnusableFileError(f"dataset {name!r} needs filters that no artifact has")
+    dtype, shape = node.dtype, node.shape
+    if not (dtype.kind in "biuf" or _is_text(dtype)):
+        raise UnusableFileError(f"dataset {name!r} is of type {dtype}, which is neither numbers nor text")
+    if shape is None:
+        raise UnusableFileError(f"dataset {name!r} is empty without a shape")
+    n_bytes = math.prod(shape) * dtype.itemsize
+    stored = node.get_storage_size()
+    packed = h5py.h5z.FILTER_DEFLATE in filters
+    limit = min(_MAX_INFLATION * stored, _MAX_INFLATED_BYTES) if packed else stored
+    if stored > file_bytes or n_bytes > limit:
+        raise UnusableFileError(f"dataset {name!r} declares shape {shape}, which is not what is stored")
+    if layout == h5py.h5d.CHUNKED and any(chunk > n for chunk, n in zip(creation.get_chunk(), shape, strict=True)):
+        raise UnusableFileError(f"dataset {name!r} has chunks that are larger than its own shape {shape}")
+    if packed:
+        _check_packed_chunks(node, name)
+
+
+def _check_packed_chunks(node: h5py.h5d.DatasetID, name: str) -> None:
+    sizes: list[int] = []
+    node.chunk_iter(lambda chunk: sizes.append(chunk.size))
+    if max(sizes, default=0) > _MAX_PACKED_BYTES:
+        raise UnusableFileError(
+            f"dataset {name!r} has a compressed chunk of {max(sizes)} bytes, too many to unpack"
+        )
+
+
+def _is_text(dtype: np.dtype[Any]) -> bool:
+    """Whether this is text of variable length, the only kind that is written."""
+    info = h5py.check_string_dtype(dtype)
+    return info is not None and info.length is None
+
+
+def read_text(node: h5py.Dataset, file_bytes: int) -> list[bytes]:
+    """All strings of a dataset.
+
+    Read in blocks, since many elements of a hostile file may point to the same long string.
+    """
+    (n,) = node.shape
+    block = int(np.clip(_STRING_BLOCK_BYTES // file_bytes, 1, 4096))
+    texts: list[bytes] = []
+    total = 0
+    for first in range(0, n, block):
+        part = [bytes(text) for text in node[first : first + block]]
+        total += sum(map(len, part))
+        if total > file_bytes:
+            raise UnusableFileError(f"dataset {node.name!r} holds more text than the file is large")
+        texts += part
+    return texts
+
+
+def text_attribute(node: h5py.HLObject, name: str) -> str:
+    """Attribute that is one string of UTF-8."""
+    found = _attribute(node, name)
+    if found.shape != () or not _is_text(found.dtype):
+        raise UnusableFileError(f"its attribute {name!r} is not text")
+    value = np.empty((), dtype=found.dtype)
+    found.read(value)
+    text: bytes = value.item() or b""  # an empty string may be stored as none at all
+    if len(text) > _MAX_TEXT:
+        raise UnusableFileError(f"its attribute {name!r} is {len(text)} bytes long")
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        raise UnusableFileError(f"its attribute {name!r} is not text in UTF-8") from None
+
+
+def json_attribute(
+    node: h5py.HLObject, name: str, make: Callable[[dict[str, Any]], dict[str, Any]] = dict
+) -> dict[str, Any]:
+    """Attribute that is a JSON object; `make` builds every object in it."""
+    try:
+        value = json.loads(text_attribute(node, name), object_hook=make)
+    except RecursionError:
+        raise UnusableFileError(f"its attribute {name!r} is nested too deep") from None
+    except ValueError as error:
+        raise UnusableFileError(f"its attribute {name!r} is not JSON ({error})") from None
+    if not isinstance(value, dict):
+        raise UnusableFileError(f"its attribute {name!r} is not a JSON object")
+    return value
+
+
+def inputs_attribute(node: h5py.HLObject, name: str) -> dict[str, dict[str, str]]:
+    """Attribute that records a path and a digest for every input."""
+    recorded = json_attribute(node, name)
+    for key, item in recorded.items():
+        if not (
+            isinstance(item, dict)
+            and item.keys() == {"path", "digest"}
+            and all(isinstance(value, str) for value in item.values())
+        ):
+            raise UnusableFileError(f"its input {key!r} is not recorded as a path and a digest")
+    return recorded
+
+
+def number_attribute(node: h5py.HLObject, name: str) -> float:
+    """Attribute that is one finite number."""
+    found = _attribute(node, name)
+    if found.shape != () or found.dtype.kind not in "biuf" or not math.isfinite(float(node.attrs[name])):
+        raise UnusableFileError(f"its attribute {name!r} is not a finite number")
+    return float(node.attrs[name])
+
+
+def span_attribute(node: h5py.HLObject, name: str) -> tuple[int, int] | None:
+    """Attribute that is a span (start, stop), or None if it is empty."""
+    found = _attribute(node, name)
+    if found.dtype.kind not in "biuf" or found.shape not in ((0,), (2,)):
+        raise UnusableFileError(f"its attribute {name!r} is no span")
+    if found.shape == (0,):
+        return None
+    start, stop = (float(edge) for edge in node.attrs[name])
+    if not (0 <= start < stop <= _MAX_EDGE and start.is_integer() and stop.is_integer()):
+        raise UnusableFileError(f"its attribute {name!r} is [{start:g}, {stop:g}], which is no span")
+    return int(start), int(stop)
+
+
+def _attribute(node: h5py.HLObject, name: str) -> h5py.h5a.AttrID:
+    if not h5py.h5a.exists(node.id, name.encode()):
+        raise UnusableFileError(f"it has no attribute {name!r}")
+    return h5py.h5a.open(node.id, name.encode())

@@ -1,0 +1,113 @@
+"""A small campaign whose stages have run one after another in this process, for figures to be drawn of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pytest
+
+from warmlens.config import Config
+from warmlens.config_file import load_config, parse_config
+from warmlens.figures import registry
+from warmlens.layout import CONFIG, NUMBERS, TABLE, chunks, shards, stage_files
+from warmlens.stages import (
+    abc,
+    deflections,
+    halos,
+    mocks,
+    observation,
+    scan_operator,
+    scans,
+    smooth_model,
+    summaries,
+)
+from warmlens.stages.settings import stage_settings
+
+ROOT = Path(__file__).parents[2]
+SMALL: dict[str, dict[str, Any]] = {
+    "campaign": {"n_samples": 40, "chunk_size": 20},
+    "halos": {"preset": "calibrated", "field_half_width_arcsec": 3.0, "min_mass_msun": 1e8},
+    "scan": {
+        "step_arcsec": 0.5,
+        "window_arcsec": (3.5, 4.0),
+        "shard_size": 100,
+        "residual_samples": [3, 25],
+        "statistics": ["delta_r", "amplitude"],
+    },
+    "summaries": {"max_separation_arcsec": 2.4},
+    "null_test": {"n_mocks": 0},
+    "abc": {"fraction": 0.3, "bootstrap": 100, "leave_one_out": 40},
+}
+
+
+def small_config(paper_config: Config, results: Path) -> Config:
+    """The paper's configuration, coarse."""
+    raw = load_config([ROOT / "config.yaml", ROOT / "workflow/configs/ci.yaml"]).model_dump()
+    for block, changes in SMALL.items():
+        raw[block].update(changes)
+    raw["results"] = str(results)
+    raw["observation"]["simulated"]["shape"] = (64, 64)
+    raw["observation"]["simulated"]["psf_pixels"] = 21
+    raw["smooth_model"].update(mode="given", allow_poor_fit=True)
+    raw["smooth_model"]["source"].update(n_max=6, clumps=None)
+    return parse_config(raw)
+
+
+@pytest.fixture(scope="session")
+def campaign(paper_config: Config, tmp_path_factory: pytest.TempPathFactory) -> Config:
+    """A finished campaign of 40 samples in two chunks; read it, do not change it."""
+    config = small_config(paper_config, tmp_path_factory.mktemp("campaign"))
+    (Path(config.results) / CONFIG).write_text(config.model_dump_json())
+
+    def one(stage: str) -> Path:
+        return stage_files(config, stage)[0]
+
+    def settings(stage: str) -> Any:
+        return stage_settings(config, stage)
+
+    observed, model, design = one("observation"), one("smooth_model"), one("scan_design")
+    operator = stage_files(config, "scan_operator")
+    observation.run(settings("observation"), observed)
+    smooth_model.run(settings("smooth_model"), observed, model)
+    scan_operator.run_design(settings("scan_design"), observed, model, design)
+    for span, path in zip(shards(config), operator, strict=True):
+        scan_operator.run(settings("scan_operator"), span, observed, model, design, path)
+    scans.run_observed(settings("observed_scan"), observed, model, design, operator, one("observed_scan"))
+    summaries.run_observed(settings("observed_summary"), one("observed_scan"), one("observed_summary"))
+    names = ("halos", "deflections", "mocks", "scans", "summaries")
+    for span, *paths in zip(chunks(config), *(stage_files(config, name) for name in names), strict=True):
+        halo, delta, mock, scan, summary = paths
+        halos.run(settings("halos"), span, halo)
+        deflections.run(settings("deflections"), halo, observed, delta)
+        mocks.run(settings("mocks"), delta, observed, model, mock)
+        scans.run(settings("scans"), mock, observed, model, design, operator, scan)
+        summaries.run(settings("summaries"), scan, summary)
+    folder = Path(config.results)
+    abc.run(
+        settings("abc"),
+        stage_files(config, "summaries"),
+        one("observed_summary"),
+        model,
+        one("abc"),
+        folder / TABLE,
+        folder / NUMBERS,
+    )
+    return config
+
+
+@pytest.fixture(scope="session")
+def table_of(campaign: Config, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], pd.DataFrame]:
+    """CSV of a figure of the campaign, drawn at most once; the picture lies beside it."""
+    folder = tmp_path_factory.mktemp("figures")
+
+    def read(name: str) -> pd.DataFrame:
+        picture = folder / f"{name}.png"
+        if not picture.exists():
+            registry.write_from_results(name, [Path(campaign.results)], picture)
+        assert picture.read_bytes().startswith(b"\x89PNG")
+        return pd.read_csv(picture.with_suffix(".csv"))
+
+    return read

@@ -1,0 +1,95 @@
+"""Figures of the paper that need no campaign."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pandas as pd
+import pytest
+
+from warmlens.config import Config
+from warmlens.config_file import parse_config
+from warmlens.figures import halos, registry
+from warmlens.halos.whole_halo import MASS_BINS
+from warmlens.plots.style import house_style
+from warmlens.stages.halos import geometry
+
+
+@pytest.fixture(scope="module")
+def coarse(paper_config: Config) -> Config:
+    raw = paper_config.model_dump()
+    raw["halos"]["min_mass_msun"] = 1e8
+    return parse_config(raw)
+
+
+@pytest.fixture(scope="module")
+def density(coarse: Config) -> halos.HaloGrid:
+    return halos.read_halo_grid(coarse)
+
+
+def test_fig_1_is_drawn_with_its_data(density: halos.HaloGrid) -> None:
+    with house_style():
+        figure = halos.draw_halo_grid_figure(density)
+    shown = [ax.images[0].get_array() for ax in figure.axes if ax.images]
+    assert len(shown) == 20
+    np.testing.assert_array_equal(shown[7], density.maps[1][2])
+    plt.close(figure)
+    table = density.table()
+    np.testing.assert_array_equal(table["sigma_msun_per_kpc2_3.3keV_log10m12.5"], np.ravel(density.maps[1][2]))
+    assert (table["x_arcsec"].iloc[1], table["y_arcsec"].iloc[160]) == pytest.approx((-1.9625, -1.9625))
+    assert table.shape == (160 * 160, 22)
+
+
+def test_fig_2_shows_the_haloes_of_fig_1(coarse: Config, density: halos.HaloGrid) -> None:
+    """First component of the filtered deflection, of the very haloes whose mass Fig. 1 shows."""
+    found = halos.read_deflection_grid(coarse)
+    assert found.column == "delta_alpha_1_arcsec"
+    _, lens = geometry(coarse.cosmology, coarse.redshifts)
+    host, relic = 3, 4  # many subhaloes
+    sigma, alpha = density.maps[host][relic], found.maps[host][relic]
+    assert np.shape(density.maps) == np.shape(found.maps) == (4, 5, 160, 160)
+    # along x alone alpha_1 rises by twice the excess of convergence about a subhalo: at the highest peak of Sigma
+    row, column = np.unravel_index(np.argmax(sigma[20:-20, 20:-20]), (120, 120))
+    row, column = row + 20, column + 20
+    assert alpha[row, column + 5] > 0.0 > alpha[row, column - 5]
+    excess = sigma[row, column] / lens.sigma_crit_msun_kpc2
+    assert 0.0 < (alpha[row, column + 2] - alpha[row, column - 2]) / (4 * 0.025) < 2.0 * excess
+    with house_style():
+        figure = halos.draw_deflection_grid_figure(found)
+    assert {ax.images[0].get_clim() for ax in figure.axes if ax.images} == {(-0.04, 0.04)}
+    plt.close(figure)
+
+
+def test_fig_2_needs_the_field_of_the_filter(paper_config: Config) -> None:
+    raw = paper_config.model_dump()
+    raw["halos"]["field_half_width_arcsec"] = 3.0
+    with pytest.raises(ValueError, match=r"field_half_width_arcsec = 3 is too small"):
+        halos.read_deflection_grid(parse_config(raw))
+
+
+def test_fig_8_holds_five_realizations_a_model(coarse: Config, tmp_path: Path) -> None:
+    registry.write_from_config("8", coarse, tmp_path / "8.png")
+    assert (tmp_path / "8.png").read_bytes().startswith(b"\x89PNG")
+    table = pd.read_csv(tmp_path / "8.csv")
+    mass = table[table["panel"] == "mass"]
+    realizations = mass[[f"n_above_realization_{number}" for number in range(1, 6)]]
+    np.testing.assert_allclose(realizations.mean(axis=1), mass["n_above_mean"], rtol=1e-5)
+    assert list(table["model"].unique()) == ["1 keV", "2 keV", "3.3 keV", "5 keV", "10 keV", "CDM"]
+    lowest = mass[mass["m_bound_msun"] == mass["m_bound_msun"].min()].set_index("model")
+    assert lowest.index.size == 6
+    assert lowest["m_bound_msun"].iloc[0] == pytest.approx(1e8)
+    assert lowest.loc["1 keV", "n_above_mean"] < 0.5 * lowest.loc["CDM", "n_above_mean"]
+    assert lowest.loc["1 keV", "n_above_Lovell 20"] < lowest.loc["CDM", "n_above_mean"]
+    assert np.isnan(lowest.loc["CDM", "n_above_Lovell 20"])
+
+
+def test_suppression_acts_on_each_bin() -> None:
+    cold = np.zeros(MASS_BINS.size)
+    cold[:31] = 2.0  # two subhaloes of 10^9 Msun
+    assert MASS_BINS[30] == pytest.approx(9.0)
+    halved = halos.suppressed(cold, lambda mass, _: np.where(mass > 1e9, 0.5, 1.0), 0.0)
+    np.testing.assert_allclose(halved, 0.5 * cold)
+    none = halos.suppressed(cold, lambda mass, _: np.ones_like(mass), 0.0)
+    np.testing.assert_allclose(none, cold)

@@ -1,0 +1,103 @@
+"""`warmlens run | resume | extend`, without a campaign: what is refused, and what Snakemake is called with."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from warmlens import front_end
+from warmlens.artifacts import ArtifactError
+from warmlens.config import Config
+from warmlens.runs import LockedError
+
+
+@pytest.fixture
+def campaign(tmp_path: Path, paper_config: Config, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Results folder of a campaign that was started and has made nothing."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "Snakefile").touch()
+    results = Path("results/here")
+    results.mkdir(parents=True)
+    config = paper_config.model_copy(update={"results": str(results)})
+    (results / "config.json").write_text(config.model_dump_json(indent=2))
+    return results
+
+
+@pytest.fixture
+def called(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    calls: list[list[str]] = []
+
+    def watch(command: list[str], results: Path, cores: int) -> int:
+        calls.append(command[1:])
+        return 7
+
+    monkeypatch.setattr(front_end, "_watch", watch)
+    return calls
+
+
+def test_snakemake_is_called_with_profile_and_overlays(campaign: Path, called: list[list[str]]) -> None:
+    assert front_end.run([Path("a.yaml"), Path("b.yaml")], campaign, 3, ["results/here/abc.h5", "--dry-run"]) == 7
+    assert called[0][:4] == ["results/here/abc.h5", "--dry-run", "--cores", "3"]
+    assert called[0][4:6] == ["--workflow-profile", "workflow/profiles/local"]
+    assert called[0][6:] == ["--configfile", "a.yaml", "b.yaml"]
+
+
+def test_resume_takes_the_configuration_of_the_last_run(campaign: Path, called: list[list[str]]) -> None:
+    front_end.resume(campaign, 2, [])
+    assert called[0][-2:] == ["--configfile", "results/here/config.json"]
+
+
+def test_extend_raises_the_number_alone(campaign: Path, called: list[list[str]]) -> None:
+    before = json.loads((campaign / "config.json").read_text())
+    front_end.extend(campaign, 5000, 2, [])
+    after = json.loads((campaign / "config.json").read_text())
+    assert after.pop("campaign") == before.pop("campaign") | {"n_samples": 5000}
+    assert after == before and called
+    with pytest.raises(ArtifactError, match="has 5000 samples already"):
+        front_end.extend(campaign, 5000, 2, [])
+
+
+def test_moved_results_are_refused(campaign: Path, called: list[list[str]]) -> None:
+    campaign.rename("elsewhere")
+    with pytest.raises(ArtifactError, match="was started as results/here and now lies in elsewhere"):
+        front_end.resume(Path("elsewhere"), 2, [])
+    assert not called
+
+
+def test_folders_that_are_not_right(campaign: Path, called: list[list[str]]) -> None:
+    with pytest.raises(ArtifactError, match="no such file; is nowhere the results folder"):
+        front_end.resume(Path("nowhere"), 2, [])
+    Path("Snakefile").unlink()
+    with pytest.raises(ArtifactError, match="has no Snakefile"):
+        front_end.run([], campaign, 2, [])
+    assert not called
+
+
+def test_lock_of_unknown_owner_is_not_lifted(campaign: Path, called: list[list[str]]) -> None:
+    Path(".snakemake/locks").mkdir(parents=True)
+    Path(".snakemake/locks/0.output.lock").touch()
+    with pytest.raises(LockedError):
+        front_end.resume(campaign, 2, [])
+    assert not called and Path(".snakemake/locks/0.output.lock").exists()
+
+
+def test_sigterm_is_handed_on_and_the_exit_code_comes_back(tmp_path: Path) -> None:
+    child = (
+        "import signal, sys, time; signal.signal(15, lambda *_: sys.exit(5)); "
+        "print('up', flush=True); time.sleep(60)"
+    )
+    code = (
+        "import sys; from pathlib import Path; from warmlens.front_end import _watch; "
+        f"sys.exit(_watch([sys.executable, '-c', {child!r}], Path('none'), 1))"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=tmp_path
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "up\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=30) == 5

@@ -1,0 +1,86 @@
+"""Whether a lock may be lifted: only if all who may hold it are certainly gone."""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import subprocess
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+
+from warmlens import runs
+from warmlens.runs import LockedError, Run
+
+
+def record(folder: Path, run: Run) -> None:
+    target = folder / ".snakemake/warmlens-runs" / f"{run.host}-{run.pid}.json"
+    target.parent.mkdir(parents=True, exist_ok=True)
+    target.write_text(json.dumps(run.__dict__))
+
+
+@pytest.fixture
+def locked(tmp_path: Path) -> Path:
+    (tmp_path / ".snakemake/locks").mkdir(parents=True)
+    (tmp_path / ".snakemake/locks/0.output.lock").write_text("results/abc.h5\n")
+    assert runs.is_locked(tmp_path)
+    return tmp_path
+
+
+def dead() -> Run:
+    process = subprocess.Popen([sys.executable, "-c", ""])
+    process.wait()
+    return Run(socket.gethostname(), process.pid, 1.0, "2026-01-01T00:00:00+00:00")
+
+
+def test_no_lock_without_files(tmp_path: Path) -> None:
+    assert not runs.is_locked(tmp_path)
+    (tmp_path / ".snakemake/locks").mkdir(parents=True)
+    assert not runs.is_locked(tmp_path)
+
+
+def test_begin_and_end(tmp_path: Path) -> None:
+    runs.begin(tmp_path)
+    (found,) = runs.runs(tmp_path)
+    assert found.pid == os.getpid() and not found.gone
+    runs.forget_gone(tmp_path)
+    assert runs.runs(tmp_path) == [found]
+    runs.end(tmp_path)
+    assert runs.runs(tmp_path) == []
+
+
+def test_lock_of_a_killed_run_is_abandoned(locked: Path) -> None:
+    record(locked, dead())
+    runs.check_abandoned(locked)
+    runs.forget_gone(locked)
+    assert runs.runs(locked) == []
+
+
+def test_number_of_a_dead_process_given_to_another(locked: Path) -> None:
+    """The number lives, but its process began later than the record says."""
+    born = psutil.Process().create_time()
+    record(locked, Run(socket.gethostname(), os.getpid(), born - 100.0, "then"))
+    runs.check_abandoned(locked)
+
+
+def test_lock_of_a_running_one_is_kept(locked: Path) -> None:
+    record(locked, dead())
+    runs.begin(locked)
+    with pytest.raises(LockedError, match=rf"is locked by process {os.getpid()} on .*wait for it"):
+        runs.check_abandoned(locked)
+
+
+def test_lock_from_another_machine_is_kept(locked: Path) -> None:
+    record(locked, Run("another-machine", 1, 1.0, "2026-01-01T00:00:00+00:00"))
+    with pytest.raises(
+        LockedError, match=r"on another-machine, started 2026.*if it is gone, `snakemake --unlock`"
+    ):
+        runs.check_abandoned(locked)
+
+
+def test_lock_without_a_record_is_kept(locked: Path) -> None:
+    with pytest.raises(LockedError, match=r"not recorded by whom.*`snakemake --unlock` lifts the lock"):
+        runs.check_abandoned(locked)

@@ -1,0 +1,20 @@
+# The report takes a second, and is there whenever a campaign is finished.
+rule report:
+    input:
+        [stage_files(CAMPAIGN, stage) for stage in CAMPAIGN_STAGES],
+        [results(name) for name in ANSWER_FILES[ANSWER]],
+        expand(results("figures/{figure}.png"), figure=DRAWN),
+    output:
+        ensure(results(REPORT), non_empty=True),
+    params:
+        version=REPORT_VERSION,
+        folder=CAMPAIGN.results,
+    log:
+        results("logs/report.log"),
+    resources:
+        mem_mb=1000,
+        runtime=10,
+    message:
+        "report: one page of everything"
+    shell:
+        "warmlens report {params.folder:q} --output {output:q} > {log:q} 2>&1"
