@@ -18,6 +18,15 @@ def pytest_configure() -> None:
     runtime.prepare()  # before the tests import anything numerical
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """With several processes, a file stays in one of them; tests of the workflow share a campaign, and begin."""
+    items.sort(key=lambda item: "workflow" not in item.path.parts)
+    for item in items:
+        group = "workflow" if "workflow" in item.path.parts else str(item.path.relative_to(ROOT))
+        item.add_marker(pytest.mark.xdist_group(group))
+
+
 @pytest.fixture(scope="session")
 def paper_config() -> Config:
     """The configuration of the paper."""

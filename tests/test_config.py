@@ -160,7 +160,9 @@ def test_psf_fit_needs_quasars(paper: dict[str, Any]) -> None:
 
 def test_given_lens_needs_no_fit_block(paper: dict[str, Any]) -> None:
     given = _changed(_changed(paper, "smooth_model.mode", "given"), "smooth_model.fit", None)
-    with pytest.raises(ConfigError, match=r"scan\.marginalise_lens needs .*mode: given has not; .* set it to false"):
+    with pytest.raises(
+        ConfigError, match=r"scan\.marginalise_lens needs .*mode: given has not; .* set it to false"
+    ):
         parse_config(given)
     assert parse_config(_changed(given, "scan.marginalise_lens", False)).smooth_model.fit is None
 

@@ -42,8 +42,8 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
 def test_snakemake_is_called_with_profile_and_overlays(campaign: Path, called: list[list[str]]) -> None:
     assert front_end.run([Path("a.yaml"), Path("b.yaml")], campaign, 3, ["results/here/abc.h5", "--dry-run"]) == 7
-    assert called[0][:4] == ["results/here/abc.h5", "--dry-run", "--cores", "3"]
-    assert called[0][4:6] == ["--workflow-profile", "workflow/profiles/local"]
+    assert called[0][:4] == ["--cores", "3", "--workflow-profile", "workflow/profiles/local"]
+    assert called[0][4:6] == ["results/here/abc.h5", "--dry-run"]
     assert called[0][6:] == ["--configfile", "a.yaml", "b.yaml"]
 
 

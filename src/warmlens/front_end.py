@@ -48,8 +48,8 @@ def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str
     folder = Path()
     if not (folder / "Snakefile").is_file():
         raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
-    command = [str(Path(sys.executable).parent / "snakemake"), *extra, "--cores", str(cores)]
-    command += ["--workflow-profile", str(PROFILE)]
+    command = [str(Path(sys.executable).parent / "snakemake"), "--cores", str(cores)]
+    command += ["--workflow-profile", str(PROFILE), *extra]  # a profile among these wins
     if overlays:
         command += ["--configfile", *map(str, overlays)]
     if runs.is_locked(folder):

@@ -34,7 +34,7 @@ from warmlens.stages.products import read_observation
 from warmlens.stages.settings import STAGES, stage_settings
 
 ROOT = Path(__file__).parents[2]
-EXAMPLES = int(os.environ.get("WARMLENS_FUZZ", "40"))
+EXAMPLES = int(os.environ.get("WARMLENS_FUZZ", "30"))
 SECONDS = 20.0  # an example takes milliseconds; a busy machine needs room
 fuzz = settings(
     max_examples=EXAMPLES,

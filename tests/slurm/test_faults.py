@@ -70,7 +70,7 @@ def test_killed_submitter_leaves_jobs_to_cancel(local: Project, half_done: Campa
 
 
 def test_job_at_its_wall_time_is_tried_again(local: Project, half_done: Campaign) -> None:
-    process = half_done.start_with_executor("--group-components", "chunk=2")
+    process = half_done.start_with_executor()
     worker = half_done.worker("scans")
     worker.send_signal(signal.SIGSTOP)
     job = worker.environ()["SLURM_JOB_ID"]
