@@ -28,7 +28,7 @@ docs: $(READY)
 	$(BIN)/warmlens config-reference --output docs/configuration.md
 
 test: lint
-	$(BIN)/pytest --numprocesses logical --maxprocesses 4 --dist loadgroup --no-loadscope-reorder --durations=15
+	$(BIN)/pytest --numprocesses logical --maxprocesses 4 --no-loadscope-reorder --durations=15
 
 test-slurm: $(READY)
 	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[slurm]'

@@ -18,13 +18,23 @@ def pytest_configure() -> None:
     runtime.prepare()  # before the tests import anything numerical
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """With several processes, a file stays in one of them; tests of the workflow share a campaign, and begin."""
+    """Tests of the workflow, the longest, come first."""
     items.sort(key=lambda item: "workflow" not in item.path.parts)
-    for item in items:
-        group = "workflow" if "workflow" in item.path.parts else str(item.path.relative_to(ROOT))
-        item.add_marker(pytest.mark.xdist_group(group))
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """With several processes a file stays in one of them, and so do all tests that share the finished campaign."""
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ByFixtures(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            path = nodeid.partition("::")[0]
+            alone = "workflow" not in path or path.endswith("test_hst.py")
+            return path if alone else "workflow"
+
+    return ByFixtures(config, log)
 
 
 @pytest.fixture(scope="session")

@@ -59,6 +59,19 @@ def test_lock_of_a_killed_run_is_abandoned(locked: Path) -> None:
     assert runs.runs(locked) == []
 
 
+def test_killed_run_that_nobody_has_waited_for(locked: Path) -> None:
+    process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+    born = psutil.Process(process.pid).create_time()
+    record(locked, Run(socket.gethostname(), process.pid, born, "then"))
+    with pytest.raises(LockedError):
+        runs.check_abandoned(locked)
+    process.kill()
+    while psutil.Process(process.pid).status() != psutil.STATUS_ZOMBIE:
+        pass
+    runs.check_abandoned(locked)
+    process.wait()
+
+
 def test_number_of_a_dead_process_given_to_another(locked: Path) -> None:
     """The number lives, but its process began later than the record says."""
     born = psutil.Process().create_time()

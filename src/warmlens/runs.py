@@ -49,7 +49,9 @@ class Run:
         if self.host != socket.gethostname():
             return False
         try:
-            return abs(psutil.Process(self.pid).create_time() - self.born) > 1.0
+            process = psutil.Process(self.pid)
+            ended = process.status() == psutil.STATUS_ZOMBIE  # not yet fetched by its parent
+            return ended or abs(process.create_time() - self.born) > 1.0
         except psutil.NoSuchProcess:
             return True
 
