@@ -18,9 +18,17 @@ def pytest_configure() -> None:
     runtime.prepare()  # before the tests import anything numerical
 
 
+_FIRST = ("scan/test_stages.py", "halos/test_population.py", "workflow/")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Tests of the workflow, the longest, come first."""
-    items.sort(key=lambda item: "workflow" not in item.path.parts)
+    """First what compiles the kernels, each once, then the workflow, whose jobs would each compile them again."""
+
+    def place(item: pytest.Item) -> int:
+        path = item.path.relative_to(ROOT / "tests").as_posix()
+        return next((i for i, start in enumerate(_FIRST) if path.startswith(start)), len(_FIRST))
+
+    items.sort(key=place)
 
 
 @pytest.hookimpl(optionalhook=True)

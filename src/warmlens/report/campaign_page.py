@@ -11,6 +11,7 @@ from jinja2 import UndefinedError
 
 from warmlens.artifacts import ArtifactError
 from warmlens.figures import CAPTIONS
+from warmlens.inference.calibration import MIN_ROWS
 from warmlens.layout import FIGURES, REPORT, SINGLE
 from warmlens.report.collect import Campaign, FigureFile, read_report
 from warmlens.report.provenance import Provenance, read_provenance
@@ -103,6 +104,7 @@ def report_html(campaign: Campaign, provenance: Provenance) -> str:
         ),
         file_warnings=file_warnings(provenance),
         citation=CITATION,
+        min_trials=MIN_ROWS,
         infinity=math.inf,
     )
 
