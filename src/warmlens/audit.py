@@ -16,7 +16,7 @@ from warmlens.artifacts import (
     reading,
     settings_digest,
 )
-from warmlens.config import FITS_FILES
+from warmlens.config_observation import FITS_FILES
 from warmlens.layout import results_folder
 
 _REMEDY = "delete it and run the campaign again"

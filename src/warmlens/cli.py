@@ -172,6 +172,7 @@ def branch(
 ) -> None:
     """Start a campaign from another one: what the change leaves as it is is linked, not made again."""
     from warmlens.branch import branch as take_over
+    from warmlens.snakemake_command import snakemake_command
 
     config = _load(configfile)
     stages = take_over(base, config)
@@ -184,11 +185,7 @@ def branch(
             "The simulated observation is made anew, with other content. To keep the image set "
             f"observation: {{kind: artifact, artifact: {base / 'observation.h5'}}}"
         )
-    overlays = " ".join(str(path) for path in configfile or [])
-    typer.echo(
-        "now run: snakemake --cores 2 --workflow-profile workflow/profiles/local"
-        + (f" --configfile {overlays}" if overlays else "")
-    )
+    typer.echo(f"now run: {snakemake_command(configfile or [])}")
 
 
 @app.command()

@@ -6,7 +6,6 @@ import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -17,11 +16,11 @@ from warmlens import runs
 from warmlens.artifacts import ArtifactError, atomic_path
 from warmlens.config_file import parse_config
 from warmlens.layout import CONFIG
+from warmlens.snakemake_command import SNAKEMAKE, arguments, recorded_results
 from warmlens.status import campaign_status, progress_line, read_campaign
 
 _REPORT_SECONDS = 15.0
 _POLL_SECONDS = 0.2
-PROFILE = Path("workflow/profiles/local")
 
 
 def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str]) -> int:
@@ -48,16 +47,23 @@ def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str
     folder = Path()
     if not (folder / "Snakefile").is_file():
         raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
-    command = [str(Path(sys.executable).parent / "snakemake"), "--cores", str(cores)]
-    command += ["--workflow-profile", str(PROFILE), *extra]  # a profile among these wins
-    if overlays:
-        command += ["--configfile", *map(str, overlays)]
+    lift_abandoned_lock(folder, overlays)
+    return _watch([SNAKEMAKE, *arguments(cores, overlays, extra)], results, cores)
+
+
+def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:
+    """Lift the lock that a killed Snakemake left in its working folder.
+
+    Raises
+    ------
+    LockedError
+        If it is not certain that its owner is gone.
+    """
     if runs.is_locked(folder):
         runs.check_abandoned(folder)
         print("the last run was killed; its lock is lifted, what it had finished is kept", flush=True)
-        subprocess.run([*command, "--unlock", "--quiet"], check=True)
+        subprocess.run([SNAKEMAKE, *arguments(1, overlays), "--unlock", "--quiet"], cwd=folder, check=True)
     runs.forget_gone(folder)
-    return _watch(command, results, cores)
 
 
 def resume(results: Path, cores: int, extra: Sequence[str]) -> int:
@@ -95,12 +101,13 @@ def _read_own(results: Path) -> dict[str, Any]:
         If the folder was moved: Snakemake would begin anew where it was.
     """
     read_campaign(results)
-    raw: dict[str, Any] = json.loads((results / CONFIG).read_text())
-    if Path(raw["results"]).resolve() != results.resolve():
+    recorded = recorded_results(results)
+    if recorded.resolve() != results.resolve():
         raise ArtifactError(
-            f"{results / CONFIG}: the campaign was started as {raw['results']} and now lies in {results}; move it "
-            "back, start from the folder that it was started from, or change `results` in that file"
+            f"{results / CONFIG}: the campaign was started as {recorded} and now lies in {results}; move it back, "
+            "start from the folder that it was started from, or change `results` in that file"
         )
+    raw: dict[str, Any] = json.loads((results / CONFIG).read_text())
     return raw
 
 

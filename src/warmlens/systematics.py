@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import subprocess
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -22,7 +21,10 @@ from warmlens.config import Config
 from warmlens.config_file import ConfigError, load_config, merge
 from warmlens.config_types import Block, Name, ResultsFolder
 from warmlens.config_yaml import read_yaml
+from warmlens.front_end import lift_abandoned_lock
 from warmlens.layout import SINGLE, stage_files
+from warmlens.report.text import duration
+from warmlens.snakemake_command import SNAKEMAKE, arguments
 from warmlens.stages.settings import campaign_stages, stage_digests
 from warmlens.systematics_table import (
     NAME,
@@ -36,7 +38,6 @@ from warmlens.systematics_table import (
 )
 
 CONFIG = Path("config.yaml")
-PROFILE = "workflow/profiles/local"
 OVERLAY, LOG = "overlay.yaml", "systematics.log"
 BASE = "base"
 
@@ -93,7 +94,7 @@ def run(path: Path, cores: int) -> list[Row]:
         raise ArtifactError(f"the base campaign {base.results} failed: {reason}")
     rows = [read_row(BASE, BASE, "the campaign that the others differ from", base, None, bound=True)]
     for number, (name, variant) in enumerate(block.variants.items(), start=1):
-        elapsed = _duration(time.monotonic() - started)
+        elapsed = duration(time.monotonic() - started)
         console.print(f"[bold]variant {number} of {len(block.variants)}: {name}[/], {elapsed} so far")
         row = _run_variant(name, variant, configs[name], base, [*layers[1:], overlays[name]], cores, console)
         rows.append(row)
@@ -101,7 +102,7 @@ def run(path: Path, cores: int) -> list[Row]:
     rows += prior_rows(base)
     write_table(Path(block.results), rows)
     draw_table(Path(block.results), rows)
-    console.print(f"{len(block.variants)} variants in {_duration(time.monotonic() - started)}")
+    console.print(f"{len(block.variants)} variants in {duration(time.monotonic() - started)}")
     print_table(rows, console)
     console.print(f"table and figure: {Path(block.results) / NAME}.csv, .json, .png")
     return rows
@@ -158,9 +159,9 @@ def _run_variant(
     except ArtifactError as error:
         reason = str(error)
     if reason:
-        console.print(f"  [bold red]failed[/] after {_duration(time.monotonic() - started)}: {escape(reason)}")
+        console.print(f"  [bold red]failed[/] after {duration(time.monotonic() - started)}: {escape(reason)}")
         return failed_row(name, variant.group, variant.description, config, base, reason)
-    console.print(f"  done in {_duration(time.monotonic() - started)}")
+    console.print(f"  done in {duration(time.monotonic() - started)}")
     return read_row(name, variant.group, variant.description, config, base, bound=variant.bound)
 
 
@@ -180,8 +181,8 @@ def _report(stages: Sequence[StageBranch], last: str, console: Console) -> None:
 def _snakemake(config: Config, overlays: Sequence[Path], stage: str, cores: int, log: Path) -> str:
     """Run the workflow up to a stage; its output goes to `log`. Why it failed, empty if it did not."""
     target = str(stage_files(config, stage)[0])
-    command = [sys.executable, "-m", "snakemake", "--cores", str(cores), "--workflow-profile", PROFILE, target]
-    command += ["--configfile", *(str(path) for path in overlays)] if overlays else []
+    lift_abandoned_lock(Path(), overlays)
+    command = [SNAKEMAKE, *arguments(cores, overlays, [target])]
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("w") as handle:
         done = subprocess.run(command, stdout=handle, stderr=subprocess.STDOUT, check=False)
@@ -203,8 +204,3 @@ def _audit(config: Config, last: str) -> str:
     files = {path: stage for stage in wanted for path in stage_files(config, stage)}
     findings = audit(files, stage_digests(config))
     return f"audit: {findings[0].path}: {findings[0].problem}" if findings else ""
-
-
-def _duration(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"

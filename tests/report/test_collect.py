@@ -14,11 +14,12 @@ from warmlens.campaign import Parameters
 from warmlens.config import Config
 from warmlens.config_file import parse_config
 from warmlens.layout import CHUNKED, stage_files
+from warmlens.report.campaign_files import open_of_campaign
 from warmlens.report.campaign_page import CITATION
 from warmlens.report.collect import failing_stages, read_report
-from warmlens.report.commands import open_of_campaign, snakemake_command
 from warmlens.report.sample import read_sample, seed_keys
 from warmlens.report.smooth_fit import LensParameter, true_parameters
+from warmlens.snakemake_command import remaking_command
 from warmlens.stages.samples import FAILED_HERE, FAILED_UPSTREAM, SampleTable
 
 ROOT = Path(__file__).parents[2]
@@ -26,10 +27,10 @@ ROOT = Path(__file__).parents[2]
 
 def test_command_names_what_it_makes(tmp_path: Path) -> None:
     (tmp_path / "config.json").write_text(json.dumps({"results": "results/my lens"}))
-    words = shlex.split(snakemake_command(tmp_path, "figures/psf.png"))
+    words = shlex.split(remaking_command(tmp_path, "figures/psf.png"))
     assert words[-2:] == ["--", "results/my lens/figures/psf.png"]
     assert words[words.index("--configfile") + 1] == "results/my lens/config.json"
-    assert "--" not in shlex.split(snakemake_command(tmp_path))
+    assert "--" not in shlex.split(remaking_command(tmp_path))
     with (
         pytest.raises(
             ArtifactError, match=r"abc\.h5: no such artifact; make it with: snakemake .*my lens/abc\.h5"

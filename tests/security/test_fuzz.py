@@ -25,8 +25,9 @@ from hypothesis import strategies as st
 
 from warmlens.artifacts import ArtifactError, Dataset, Provenance, content_digest, open_artifact, write_artifact
 from warmlens.audit import audit, check_chain, input_paths
-from warmlens.config import Config, FitsBandBlock
+from warmlens.config import Config
 from warmlens.config_file import ConfigError, expand_path, parse_config
+from warmlens.config_observation import FitsBandBlock
 from warmlens.config_yaml import read_yaml
 from warmlens.layout import chunks, shards
 from warmlens.stages.fits_input import read_band

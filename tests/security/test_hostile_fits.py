@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from warmlens.config import FitsBandBlock
 from warmlens.config_file import ConfigError, expand_path
+from warmlens.config_observation import FitsBandBlock
 from warmlens.stages.fits_input import read_band
 
 SHAPE = (20, 24)

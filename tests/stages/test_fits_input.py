@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from warmlens.config import FitsBandBlock
+from warmlens.config_observation import FitsBandBlock
 from warmlens.stages.fits_input import read_band
 from warmlens.stages.observation import read_fits
 

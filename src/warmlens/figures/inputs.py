@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from warmlens.artifacts import ArtifactError
 from warmlens.config import Config
-from warmlens.layout import CONFIG, SINGLE, stage_files
+from warmlens.layout import SINGLE, stage_files
+from warmlens.snakemake_command import remaking_command
 
 log = logging.getLogger(__name__)
 
@@ -92,10 +92,8 @@ def _shows_mocks(config: Config, n_campaigns: int) -> bool:
 def _refuse_missing(inputs: Inputs, folder: Path) -> None:
     missing = [path for path in inputs.values() if not path.exists()]
     if missing:
-        planned = Path(json.loads((folder / CONFIG).read_text())["results"])  # as the workflow calls it
-        target = planned / missing[0].relative_to(folder)
+        name = str(missing[0].relative_to(folder))
         raise ArtifactError(
             f"{missing[0]}: no such artifact ({len(missing)} of {len(inputs)} are missing for this figure); make "
-            f"it with: snakemake --cores 2 --workflow-profile workflow/profiles/local "
-            f"--configfile {folder / CONFIG} -- {target}"
+            f"it with: {remaking_command(folder, name)}"
         )

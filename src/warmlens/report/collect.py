@@ -16,8 +16,9 @@ from warmlens.config import Config
 from warmlens.inference.bound import LEVELS
 from warmlens.inference.calibration import MASS_BINS_KEV
 from warmlens.layout import CHUNKED, CONFIG, FIGURES, SINGLE, chunks, stage_files
-from warmlens.report.commands import open_of_campaign, read_inferred, recorded_results, snakemake_command
+from warmlens.report.campaign_files import open_of_campaign, read_inferred
 from warmlens.report.smooth_fit import SmoothFit, read_smooth_fit
+from warmlens.snakemake_command import recorded_results, remaking_command
 from warmlens.stages.samples import FAILED_HERE, OK
 
 
@@ -162,7 +163,7 @@ def read_report(results: Path, captions: Mapping[str, str]) -> Campaign:
                 name,
                 results / f"figures/{name}.png",
                 captions[name],
-                snakemake_command(results, f"figures/{name}.png"),
+                remaking_command(results, f"figures/{name}.png"),
             )
             for name in FIGURES
         ),
@@ -224,7 +225,7 @@ def failing_stages(config: Config, samples: Sequence[int]) -> list[str]:
 def _reproduction(results: Path, config: Config) -> Reproduction:
     recorded = json.loads((results / CONFIG).read_text())
     return Reproduction(
-        command=snakemake_command(results),
+        command=remaking_command(results),
         results=str(recorded_results(results)),
         seed=config.campaign.seed,
         config_yaml=yaml.safe_dump(recorded, sort_keys=False, allow_unicode=True, width=100),

@@ -17,7 +17,7 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.observation import Observation
 from warmlens.layout import CHUNKED, SINGLE, chunks, stage_files
 from warmlens.plots.scan import ScanRow
-from warmlens.report.commands import open_of_campaign, read_inferred
+from warmlens.report.campaign_files import open_of_campaign, read_inferred
 from warmlens.stages.deflections import read_subhalos
 from warmlens.stages.halos import geometry
 from warmlens.stages.products import read_observation

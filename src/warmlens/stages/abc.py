@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from warmlens import __version__
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, atomic_path, open_artifact, write_artifact
+from warmlens.artifacts import ArtifactError, Dataset, Provenance, atomic_path, write_artifact
 from warmlens.audit import check_chain
 from warmlens.campaign import stream
 from warmlens.inference.acceptance import KINDS
@@ -31,11 +31,9 @@ from warmlens.stages.abc_tables import (
     make_table,
     read_null_table,
     read_summaries,
-    read_table,
-    refuse_failures,
     scalars,
+    usable_table,
 )
-from warmlens.stages.samples import OK
 from warmlens.stages.settings import AbcSettings
 from warmlens.types import FloatArray
 
@@ -63,14 +61,9 @@ def run(
     provenance = Provenance("abc", settings.as_dict(), inputs, seed_key=f"{settings.seed}/abc")
     for path in inputs.values():
         check_chain(path, settings.upstream)
-    with open_artifact(smooth_model, "smooth_model") as artifact:
-        upstream_warnings = list(artifact.metadata["warnings"])
-    table = read_table(summaries, settings.n_samples)
-    good = (table["status"] == OK).to_numpy()
-    n_failed = int((~good).sum())
-    refuse_failures(table, n_failed, settings.abc.max_failed_fraction)
-    if n_failed:
-        upstream_warnings.append(f"{n_failed} of {len(table)} samples failed and are left out")
+    table, good, upstream_warnings = usable_table(
+        summaries, smooth_model, settings.n_samples, settings.abc.max_failed_fraction
+    )
     compared, grids = read_summaries(summaries, observed_summary, null_summaries, good)
     known, learned, missing = _points(settings, table[good], compared, grids)
     samples = _headline_table(settings, table[good], known, missing)
@@ -109,7 +102,7 @@ def run(
     add_columns(table, good, _paper_distances(compared, grids), single, samples.kinds, found)
     metadata: dict[str, Any] = {
         "n_samples": len(table),
-        "n_failed": n_failed,
+        "n_failed": int((~good).sum()),
         "summaries": block.summaries,
         "kinds": list(samples.kinds),
         "distance": block.distance,

@@ -45,14 +45,31 @@ def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
     return table
 
 
-def refuse_failures(table: pd.DataFrame, n_failed: int, limit: float) -> None:
-    """Refuse a table of which more than the fraction `limit` failed."""
-    if n_failed > limit * len(table):
-        first = table[table["status"] != OK].iloc[0]
+def usable_table(
+    summaries: Sequence[Path], smooth_model: Path, n_samples: int, max_failed_fraction: float
+) -> tuple[pd.DataFrame, BoolArray, list[str]]:
+    """Table of all samples, which of them did not fail [n], and what to warn of: smooth model, failures.
+
+    Raises
+    ------
+    ArtifactError
+        If samples are missing, or more than `max_failed_fraction` of them failed.
+    """
+    with open_artifact(smooth_model, "smooth_model") as artifact:
+        warnings = list(artifact.metadata["warnings"])
+    table = read_table(summaries, n_samples)
+    good = (table["status"] == OK).to_numpy()
+    n_failed = int((~good).sum())
+    if n_failed > max_failed_fraction * len(table):
+        first = table[~good].iloc[0]
         raise ArtifactError(
-            f"{n_failed} of {len(table)} samples failed, more than abc.max_failed_fraction = {limit:g} allows; "
-            f"sample {first['sample_id']}: {first['message']} (the tracebacks are in the artifacts)"
+            f"{n_failed} of {len(table)} samples failed, more than abc.max_failed_fraction = "
+            f"{max_failed_fraction:g} allows; sample {first['sample_id']}: {first['message']} (the tracebacks are "
+            "in the artifacts)"
         )
+    if n_failed:
+        warnings.append(f"{n_failed} of {len(table)} samples failed and are left out")
+    return table, good, warnings
 
 
 def read_summaries(

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from warmlens import __version__
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, atomic_path, open_artifact, write_artifact
+from warmlens.artifacts import ArtifactError, Dataset, Provenance, atomic_path, write_artifact
 from warmlens.audit import check_chain
 from warmlens.campaign import stream
 from warmlens.inference.acceptance import Acceptance, accept
@@ -23,8 +23,7 @@ from warmlens.inference.exclusion import LEVEL, MAX_RATIO, Exclusion, exclusion
 from warmlens.inference.summary_sets import Summary, kinds_of, learned_points, points
 from warmlens.inference.table import Table
 from warmlens.stages.abc_numbers import plain
-from warmlens.stages.abc_tables import read_summaries, read_table, refuse_failures
-from warmlens.stages.samples import OK
+from warmlens.stages.abc_tables import read_summaries, usable_table
 from warmlens.stages.settings import ExclusionSettings
 from warmlens.types import BoolArray, FloatArray
 
@@ -46,14 +45,9 @@ def run(
     provenance = Provenance("exclusion", settings.as_dict(), inputs, seed_key=f"{settings.seed}/exclusion")
     for path in inputs.values():
         check_chain(path, settings.upstream)
-    with open_artifact(smooth_model, "smooth_model") as artifact:
-        upstream_warnings = list(artifact.metadata["warnings"])
-    table = read_table(summaries, settings.n_samples)
-    good = (table["status"] == OK).to_numpy()
-    n_failed = int((~good).sum())
-    refuse_failures(table, n_failed, settings.abc.max_failed_fraction)
-    if n_failed:
-        upstream_warnings.append(f"{n_failed} of {len(table)} samples failed and are left out")
+    table, good, upstream_warnings = usable_table(
+        summaries, smooth_model, settings.n_samples, settings.abc.max_failed_fraction
+    )
     samples = _samples(settings, table[good], *read_summaries(summaries, observed_summary, None, good))
     distances = samples.distances()
     block = settings.abc
@@ -78,7 +72,7 @@ def run(
     metadata = plain(
         {
             "n_samples": len(table),
-            "n_failed": n_failed,
+            "n_failed": int((~good).sum()),
             "summaries": block.summaries,
             "distance": block.distance,
             "acceptance": acceptance.rule,

@@ -14,7 +14,7 @@ import numpy as np
 from astropy.io import fits
 from astropy.wcs import WCS, FITSFixedWarning
 
-from warmlens.config import MAX_SIDE
+from warmlens.config_observation import MAX_SIDE
 from warmlens.types import FloatArray
 
 _BLOCK = 2880  # bytes; headers and data fill whole blocks

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from astropy.io import fits
 
-from warmlens.config import FITS_FILES, FitsBandBlock
 from warmlens.config_file import ConfigError, expand_path
+from warmlens.config_observation import FITS_FILES, FitsBandBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Band, checked_band

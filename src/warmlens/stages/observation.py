@@ -11,8 +11,8 @@ import numpy as np
 
 from warmlens.artifacts import Dataset, Provenance, open_artifact, write_artifact
 from warmlens.campaign import stream
-from warmlens.config import FitsBandBlock, ObservationBlock, SimulatedBandBlock, SimulatedBlock
 from warmlens.config_file import expand_path
+from warmlens.config_observation import FitsBandBlock, ObservationBlock, SimulatedBandBlock, SimulatedBlock
 from warmlens.config_types import ConfigError
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import subpixel_field

@@ -19,11 +19,11 @@ from warmlens.config import (
     HalosBlock,
     MocksBlock,
     NullTestBlock,
-    ObservationBlock,
     RedshiftBlock,
     ScanBlock,
     SummariesBlock,
 )
+from warmlens.config_observation import ObservationBlock
 from warmlens.config_smooth_model import SmoothModelBlock
 from warmlens.config_types import Block
 

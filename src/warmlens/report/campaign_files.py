@@ -1,0 +1,43 @@
+"""Opening what a page is made of; what is missing is named with the command that makes it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from warmlens.artifacts import Artifact, ArtifactError, open_artifact
+from warmlens.config import Config
+from warmlens.layout import EXCLUSION_NUMBERS
+from warmlens.snakemake_command import remaking_command
+from warmlens.status import read_campaign
+
+
+def read_inferred(results: Path) -> Config:
+    """Configuration of a campaign that has a posterior.
+
+    Raises
+    ------
+    ArtifactError
+        For a campaign on a grid.
+    """
+    config = read_campaign(results)
+    if config.campaign.design == "grid":
+        raise ArtifactError(f"{results}: a campaign on a grid has no posterior to show; see {EXCLUSION_NUMBERS}")
+    return config
+
+
+@contextmanager
+def open_of_campaign(results: Path, name: str, stage: str) -> Iterator[Artifact]:
+    """Open an artifact of a campaign.
+
+    Raises
+    ------
+    ArtifactError
+        If it is missing, with the command that makes it.
+    """
+    path = results / name
+    if not path.exists():
+        raise ArtifactError(f"{path}: no such artifact; make it with: {remaking_command(results, name)}")
+    with open_artifact(path, stage) as artifact:
+        yield artifact
