@@ -51,5 +51,5 @@ def remaking_command(results: Path, *names: str) -> str:
         Paths under it; the whole campaign unless given.
     """
     root = recorded_results(results)
-    command = snakemake_command([results / CONFIG])
+    command = snakemake_command([root / CONFIG])  # as the workflow calls them
     return " ".join([command, "--", shlex.join(str(root / name) for name in names)]) if names else command
