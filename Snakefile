@@ -21,6 +21,7 @@ include: "workflow/rules/null_test.smk"
 include: f"workflow/rules/{ANSWER}.smk"
 include: "workflow/rules/figures.smk"
 include: "workflow/rules/report.smk"
+include: "workflow/rules/manifest.smk"
 
 
 rule all:
@@ -32,5 +33,7 @@ rule all:
         [results(name) for name in ANSWER_FILES[ANSWER]],
         expand(results("figures/{figure}.{kind}"), figure=DRAWN, kind=("png", "csv")),
         [results(REPORT)] if ANSWER == "abc" else [],
+        results(MANIFEST),
+        results(CRATE),
     message:
-        "all artifacts, the figures and the report are there"
+        "all artifacts, the figures, the report and the manifest are there"

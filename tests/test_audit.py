@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from datetime import UTC, datetime
 from pathlib import Path
 
 import h5py
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts import ArtifactError, Dataset, Provenance, settings_digest, write_artifact
-from warmlens.audit import audit, check_chain
+from warmlens.audit import audit, check_chain, check_chains, examine
+from warmlens.audit_campaign import differences
+from warmlens.audit_report import age
 
 SETTINGS = {"halos": {"a": 1}, "deflections": {"b": 2}, "mocks": {"c": 3}}
 EXPECTED = {stage: settings_digest(settings) for stage, settings in SETTINGS.items()}
@@ -74,3 +77,51 @@ def test_truncated(chain: dict[Path, str], tmp_path: Path) -> None:
     ((name, problem),) = _problems(chain)
     assert name == "mocks"
     assert problem.startswith("damaged: ")
+
+
+def test_a_record_tells_who_made_an_artifact_and_what_is_wrong(chain: dict[Path, str], tmp_path: Path) -> None:
+    _write(tmp_path, "halos", 1.5)
+    (tmp_path / "mocks.h5").unlink()
+    told: list[Path] = []
+    halos, deflections, mocks = examine(chain, EXPECTED, told.append)
+    assert [record.verdict for record in (halos, deflections, mocks)] == ["ok", "inputs", "missing"]
+    assert halos.header is not None and deflections.header is not None and mocks.header is None
+    assert halos.header.schema == "warmlens/halos"
+    assert halos.header.settings_sha256 == EXPECTED["halos"]
+    assert deflections.header.inputs["halos"][1] == tmp_path / "halos.h5"
+    assert set(told) == set(chain)
+
+
+def test_a_damaged_input_is_no_damage_of_what_was_made_from_it(chain: dict[Path, str], tmp_path: Path) -> None:
+    (tmp_path / "halos.h5").write_bytes(b"none")
+    assert [record.verdict for record in examine(chain, EXPECTED)] == ["damaged", "inputs", "ok"]
+
+
+def test_several_chains_are_all_checked(chain: dict[Path, str], tmp_path: Path) -> None:
+    check_chains([tmp_path / "halos.h5", tmp_path / "mocks.h5"], EXPECTED)
+    with h5py.File(tmp_path / "halos.h5", "r+") as file:
+        file.attrs["digest"] = "0" * 64
+    check_chains([tmp_path / "halos.h5"], EXPECTED)
+    with pytest.raises(ArtifactError, match=r"deflections\.h5: its input halos .* has changed since"):
+        check_chains([tmp_path / "halos.h5", tmp_path / "mocks.h5"], EXPECTED)
+
+
+def test_differences_of_settings_are_told_by_name() -> None:
+    now = {"stage_version": 2, "scan": {"step": 0.1, "window": None}, "upstream": {"halos": "b"}}
+    before = {"scan": {"step": 0.2, "window": None}, "upstream": {"halos": "a"}, "stage_version": 1}
+    assert differences(before, now).split(", ") == [
+        "version of the stage's code was 1",
+        "is now 2",
+        "scan.step was 0.2",
+        "is now 0.1",
+        "the settings of halos have changed",
+    ]
+    assert differences(now, now) == ""
+
+
+def test_age() -> None:
+    now = datetime(2026, 3, 10, 12, 0, tzinfo=UTC)
+    assert age("2026-03-10T11:58:30+00:00", now) == "1 min 30 s"
+    assert age("2026-02-28T12:00:00+00:00", now) == "10 d"
+    assert age("2026-03-11T12:00:00+00:00", now) == "in the future"
+    assert age("yesterday", now) == "unknown"

@@ -303,7 +303,7 @@ def content_digest(file: h5py.File, metadata: Mapping[str, Any]) -> str:
             for text in read_text(node, file_bytes):
                 sha.update(text + b"\0")
         else:
-            sha.update(np.ascontiguousarray(node[...]).tobytes())
+            sha.update(np.ascontiguousarray(node[...]).reshape(-1).view(np.uint8).data)  # not copied
     return sha.hexdigest()
 
 
@@ -357,5 +357,10 @@ def input_digest(path: Path) -> str:
             return artifact.digest
     if not path.is_file():
         raise ArtifactError(f"{path}: not a file")
+    return file_digest(path)
+
+
+def file_digest(path: Path) -> str:
+    """SHA-256 of the bytes of a file."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
 from warmlens.artifacts import (
+    SCHEMA_VERSION,
     Artifact,
     ArtifactError,
     content_digest,
@@ -19,15 +22,95 @@ from warmlens.artifacts import (
 from warmlens.config_observation import FITS_FILES
 from warmlens.layout import results_folder
 
+Verdict = Literal["ok", "missing", "damaged", "altered", "settings", "inputs", "manifest"]
+
 _REMEDY = "delete it and run the campaign again"
+_THREADS = 2  # HDF5 reads one dataset at a time; the other thread hashes meanwhile
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong with one artifact."""
+    """Something wrong with one artifact, or another file of a campaign."""
 
     path: Path
     problem: str
+    kind: Verdict
+
+
+@dataclass(frozen=True)
+class Header:
+    """What an artifact says of itself: its attributes, without the contents.
+
+    Attributes
+    ----------
+    stage, schema, schema_version
+        What it holds, and how.
+    digest, settings
+        SHA-256 of its content, and what it was made with.
+    inputs
+        Of every input by name: its path as recorded, where that is, and the digest that it had.
+    package_version, git_commit, git_dirty
+        The code that made it.
+    created_utc, wall_seconds
+        When it was written, and how long it took.
+    """
+
+    stage: str
+    schema: str
+    schema_version: int
+    digest: str
+    settings: dict[str, Any]
+    inputs: dict[str, tuple[str, Path, str]]
+    package_version: str
+    git_commit: str
+    git_dirty: bool
+    created_utc: str
+    wall_seconds: float
+
+    @property
+    def settings_sha256(self) -> str:
+        """SHA-256 of the settings."""
+        return settings_digest(self.settings)
+
+
+@dataclass(frozen=True)
+class Record:
+    """What an audit found of one artifact; no header if it is missing or cannot be read."""
+
+    path: Path
+    stage: str
+    header: Header | None = None
+    findings: tuple[Finding, ...] = field(default=())
+
+    @property
+    def verdict(self) -> Verdict:
+        """What is wrong first of all; "ok" if nothing is."""
+        return self.findings[0].kind if self.findings else "ok"
+
+
+def read_header(artifact: Artifact, place: Path) -> Header:
+    """Attributes of an open artifact that lies at `place`.
+
+    Raises
+    ------
+    ArtifactError
+        If an input is no artifact of the same results folder.
+    """
+    attrs = artifact.file.attrs
+    sources = input_paths(artifact, place)
+    return Header(
+        stage=artifact.stage,
+        schema=str(attrs["schema"]),
+        schema_version=SCHEMA_VERSION,  # no other is opened
+        digest=artifact.digest,
+        settings=artifact.settings,
+        inputs={name: (item["path"], sources[name], item["digest"]) for name, item in artifact.inputs.items()},
+        package_version=str(attrs["package_version"]),
+        git_commit=str(attrs["git_commit"]),
+        git_dirty=bool(attrs["git_dirty"]),
+        created_utc=str(attrs["created_utc"]),
+        wall_seconds=artifact.wall_seconds,
+    )
 
 
 def check_chain(path: Path, expected: Mapping[str, str]) -> None:
@@ -47,20 +130,33 @@ def check_chain(path: Path, expected: Mapping[str, str]) -> None:
     ArtifactError
         Naming the first artifact that does not fit, and what to do.
     """
+    check_chains([path], expected)
+
+
+def check_chains(paths: Iterable[Path], expected: Mapping[str, str]) -> None:
+    """Check several artifacts as `check_chain` does; what they have in common is read once."""
+    headers: dict[Path, Header] = {}
+    pending = [path.resolve() for path in paths if path.suffix == ".h5"][::-1]
     seen: set[Path] = set()
-    pending = [path]
     while pending:
-        current = pending.pop().resolve()
-        if current in seen or current.suffix != ".h5":
+        current = pending.pop()
+        if current in seen:
             continue
         seen.add(current)
-        findings = _check_settings(current, expected) + _check_inputs(current)
+        header = _header(current, headers)
+        findings = [*_check_settings(current, header, expected), *_check_inputs(current, header, headers)]
         if findings:
             first = findings[0]
             raise ArtifactError(f"{first.path}: {first.problem}; {_REMEDY}")
-        with open_artifact(current) as artifact:
-            if artifact.stage != "observation":  # what that is made from belongs to another campaign
-                pending += input_paths(artifact, current).values()
+        if header.stage != "observation":  # what that is made from belongs to another campaign
+            pending += [source.resolve() for _, source, _ in header.inputs.values() if source.suffix == ".h5"]
+
+
+def _header(path: Path, known: dict[Path, Header]) -> Header:
+    if path not in known:
+        with open_artifact(path) as artifact:
+            known[path] = read_header(artifact, path)
+    return known[path]
 
 
 def input_paths(artifact: Artifact, place: Path) -> dict[str, Path]:
@@ -109,42 +205,65 @@ def audit(expected_files: Mapping[Path, str], expected_settings: Mapping[str, st
         Every artifact that is missing, damaged, altered, made with other settings or code, or made from an
         input that has since changed; empty if all is well.
     """
+    return [finding for record in examine(expected_files, expected_settings) for finding in record.findings]
+
+
+def examine(
+    expected_files: Mapping[Path, str],
+    expected_settings: Mapping[str, str],
+    done: Callable[[Path], None] = lambda _: None,
+) -> list[Record]:
+    """What `audit` finds, artifact by artifact, in the order of `expected_files`; each is told to `done`."""
+
+    headers: dict[Path, Header] = {}
+
+    def one(item: tuple[Path, str]) -> Record:
+        record = _examine(*item, expected_settings, headers)
+        done(item[0])
+        return record
+
+    with ThreadPoolExecutor(_THREADS) as pool:
+        return list(pool.map(one, expected_files.items()))
+
+
+def _examine(path: Path, stage: str, expected: Mapping[str, str], known: dict[Path, Header]) -> Record:
+    if not path.exists():
+        return Record(path, stage, None, (Finding(path, "missing", "missing"),))
+    header = None
     findings: list[Finding] = []
-    for path, stage in expected_files.items():
-        if not path.exists():
-            findings.append(Finding(path, "missing"))
-            continue
-        try:
-            problems = _check_content(path, stage)
-            problems += _check_settings(path, expected_settings) + _check_inputs(path)
-        except (ArtifactError, OSError) as error:
-            problems = [Finding(path, f"damaged: {error}")]
-        findings += problems
-    return findings
+    try:
+        with open_artifact(path, stage) as artifact, reading(path):
+            header = read_header(artifact, path)
+            if content_digest(artifact.file, artifact.metadata) != artifact.digest:
+                findings.append(Finding(path, "altered: its content does not match its digest", "altered"))
+    except (ArtifactError, OSError) as error:
+        return Record(path, stage, header, (Finding(path, f"damaged: {error}", "damaged"),))
+    findings += _check_settings(path, header, expected)
+    try:
+        findings += _check_inputs(path, header, known)
+    except (ArtifactError, OSError) as error:
+        findings.append(Finding(path, f"an input cannot be read: {error}", "inputs"))
+    return Record(path, stage, header, tuple(findings))
 
 
-def _check_content(path: Path, stage: str) -> list[Finding]:
-    with open_artifact(path, stage) as artifact, reading(path):
-        if content_digest(artifact.file, artifact.metadata) != artifact.digest:
-            return [Finding(path, "altered: its content does not match its digest")]
+def _check_settings(path: Path, header: Header, expected: Mapping[str, str]) -> list[Finding]:
+    wanted = expected.get(header.stage)
+    if wanted is not None and header.settings_sha256 != wanted:
+        return [Finding(path, "made with other settings or an older version of its stage", "settings")]
     return []
 
 
-def _check_settings(path: Path, expected: Mapping[str, str]) -> list[Finding]:
-    with open_artifact(path) as artifact:
-        wanted = expected.get(artifact.stage)
-        if wanted is not None and settings_digest(artifact.settings) != wanted:
-            return [Finding(path, "made with other settings or an older version of its stage")]
-    return []
-
-
-def _check_inputs(path: Path) -> list[Finding]:
+def _check_inputs(path: Path, header: Header, known: dict[Path, Header]) -> list[Finding]:
     findings = []
-    with open_artifact(path) as artifact:
-        for name, source in input_paths(artifact, path).items():
-            recorded = artifact.inputs[name]
-            if not os.path.exists(source):  # noqa: PTH110 (a path that the system refuses is no file either)
-                findings.append(Finding(path, f"its input {name} ({recorded['path']}) is missing"))
-            elif input_digest(source) != recorded["digest"]:
-                findings.append(Finding(path, f"its input {name} ({recorded['path']}) has changed since"))
+    for name, (recorded, source, digest) in header.inputs.items():
+        if not os.path.exists(source):  # noqa: PTH110 (a path that the system refuses is no file either)
+            findings.append(Finding(path, f"its input {name} ({recorded}) is missing", "inputs"))
+        elif _digest(source, header, known) != digest:
+            findings.append(Finding(path, f"its input {name} ({recorded}) has changed since", "inputs"))
     return findings
+
+
+def _digest(source: Path, of: Header, known: dict[Path, Header]) -> str:
+    if of.stage == "observation":  # made from files of the user
+        return input_digest(source)
+    return _header(source.resolve(), known).digest

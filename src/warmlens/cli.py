@@ -146,23 +146,53 @@ def combine(
 
 
 @app.command()
-def audit(results: Results, configfile: ConfigFiles = None) -> None:
-    """Re-hash every artifact and follow the chain from the posterior to the observation."""
-    from warmlens.audit import audit as walk
-    from warmlens.layout import stage_files
-    from warmlens.stages.settings import campaign_stages, stage_digests
+def audit(
+    results: Results,
+    configfile: ConfigFiles = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print JSON for scripts (docs/audit.md has the keys).")
+    ] = False,
+) -> None:
+    """Re-hash every file and follow the chain from the posterior to the observation; exit code 1 if not well."""
+    from warmlens.audit_campaign import audit_campaign
+    from warmlens.audit_report import as_json, print_audit
+    from warmlens.manifest import artifact_files, derived_files
     from warmlens.status import read_campaign
+    from warmlens.text_progress import progress
 
     config = _load(configfile) if configfile else read_campaign(results)
     config = config.model_copy(update={"results": str(results)})
-    files = {path: stage for stage in campaign_stages(config) for path in stage_files(config, stage)}
-    findings = walk(files, stage_digests(config))
-    for finding in findings:
-        typer.echo(f"{finding.path}: {finding.problem}")
-    if findings:
-        typer.echo(f"{len(findings)} problems in {len(files)} artifacts; run the campaign again to mend them")
-        raise typer.Exit(1)
-    typer.echo(f"{len(files)} artifacts: complete, unaltered, and made from one another as recorded")
+    with progress("audit", [*artifact_files(config), *derived_files(config)]) as done:
+        found = audit_campaign(config, done)
+    if json_:
+        typer.echo(as_json(found))
+    else:
+        print_audit(found)
+    raise typer.Exit(0 if found.sound else 1)
+
+
+@app.command()
+def manifest(
+    results: Results,
+    license_url: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option("--license", help="URL of the license of the data, for the RO-Crate."),
+    ] = None,
+) -> None:
+    """Write manifest.json and ro-crate-metadata.json of a finished campaign, for publication."""
+    from warmlens.crate import write_crate
+    from warmlens.layout import CRATE, MANIFEST
+    from warmlens.manifest import artifact_files, derived_files, make_manifest, write_manifest
+    from warmlens.status import read_campaign
+    from warmlens.text_progress import progress
+
+    config = read_campaign(results)
+    with progress("manifest", [*artifact_files(config), *derived_files(config)]) as done:
+        made, headers = make_manifest(config, done)
+    write_manifest(made, results / MANIFEST)
+    write_crate(results, made, headers, license_url)
+    for name in (MANIFEST, CRATE):
+        typer.echo(results / name)
 
 
 @app.command()

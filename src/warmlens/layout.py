@@ -39,12 +39,15 @@ FIGURES = (
     "predictive",
     "information",
 )
-FIGURE_VERSION = 4  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
+FIGURE_VERSION = 5  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
 CONFIG = "config.json"
 TABLE = "abc.csv"
 NUMBERS = "abc.json"
 REPORT = "report.html"
 REPORT_VERSION = 2
+MANIFEST = "manifest.json"
+CRATE = "ro-crate-metadata.json"  # as RO-Crate wants it
+MANIFEST_VERSION = 1
 EXCLUSION_TABLE = "exclusion.csv"
 EXCLUSION_NUMBERS = "exclusion.json"
 ANSWER_FILES = {"abc": (TABLE, NUMBERS), "exclusion": (EXCLUSION_TABLE, EXCLUSION_NUMBERS)}  # beside the artifact

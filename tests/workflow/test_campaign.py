@@ -157,7 +157,7 @@ class TestWhatIsRunAgain:
         project = copy_of()
         project.configure({"abc": {"fraction": 0.5}})
         drawn = sum("abc" in NEEDED[name] for name in FIGURES)
-        assert project.planned() == {"abc": 1, "figure": drawn, "report": 1, "all": 1}
+        assert project.planned() == {"abc": 1, "figure": drawn, "report": 1, "manifest": 1, "all": 1}
 
     def test_number_of_mocks_of_the_null_test(self, copy_of: Callable[[], Project]) -> None:
         project = copy_of()

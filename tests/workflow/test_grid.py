@@ -38,7 +38,7 @@ def test_grid_to_exclusion(copy_of: Callable[[], Project]) -> None:
     assert "scan_operator: 2 linked, 0 in place, 0 to make" in taken.stdout
     planned = project.planned()
     assert {stage: planned.pop(stage) for stage in PER_SAMPLE} == dict.fromkeys(PER_SAMPLE, 2)
-    assert planned.pop("exclusion") == planned.pop("all") == 1
+    assert planned.pop("exclusion") == planned.pop("manifest") == planned.pop("all") == 1
     assert set(planned) == {"figure"}  # neither abc nor anything of the smooth lens
     project.snakemake(EXCLUSION)
     results = project.folder / "results/grid"

@@ -7,17 +7,19 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 
 from warmlens import runs, runtime
-from warmlens.artifacts import atomic_path, canonical_json
+from warmlens.artifacts import atomic_path, canonical_json, settings_digest
 from warmlens.config_file import ConfigError, parse_config
 from warmlens.config_yaml import read_yaml
-from warmlens.figures.inputs import NEEDED, figure_inputs
+from warmlens.figures.inputs import drawn_figures, figure_inputs
 from warmlens.layout import (
     ANSWER_FILES,
     CONFIG,
+    CRATE,
     EXCLUSION_NUMBERS,
     EXCLUSION_TABLE,
     FIGURE_VERSION,
-    FIGURES,
+    MANIFEST,
+    MANIFEST_VERSION,
     NUMBERS,
     REPORT,
     REPORT_VERSION,
@@ -25,6 +27,7 @@ from warmlens.layout import (
     TABLE,
     stage_files,
 )
+from warmlens.manifest import derived_files
 from warmlens.stages.settings import campaign_stages, stage_settings
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
@@ -40,7 +43,7 @@ except ConfigError as error:
 
 CAMPAIGN_STAGES = campaign_stages(CAMPAIGN)
 ANSWER = CAMPAIGN_STAGES[-1]  # abc, or exclusion on a grid, which has no posterior to draw
-DRAWN = [name for name in FIGURES if all(need.removesuffix("/*") in CAMPAIGN_STAGES for need in NEEDED[name])]
+DRAWN = drawn_figures(CAMPAIGN)
 
 
 wildcard_constraints:

@@ -6,15 +6,15 @@ rule figure:
         data=ensure(results("figures/{figure}.csv"), non_empty=True),
     params:
         version=FIGURE_VERSION,
-        artifacts=lambda wildcards: repeated(
-            "artifact", [f"{key}={path}" for key, path in figure_inputs(CAMPAIGN, wildcards.figure).items()]
-        ),
+        folder=CAMPAIGN.results,  # whose configuration the artifacts are checked against
     log:
         results("logs/figures/{figure}.log"),
+    benchmark:
+        results("benchmarks/figures/{figure}.tsv")
     resources:
         mem_mb=2000,
         runtime=10,
     message:
         "figure: {wildcards.figure}"
     shell:
-        "warmlens figure {wildcards.figure} {params.artifacts} --output {output.picture:q} > {log:q} 2>&1"
+        "warmlens figure {wildcards.figure} --results {params.folder:q} --output {output.picture:q} > {log:q} 2>&1"

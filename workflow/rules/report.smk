@@ -11,6 +11,8 @@ rule report:
         folder=CAMPAIGN.results,
     log:
         results("logs/report.log"),
+    benchmark:
+        results("benchmarks/report.tsv")
     resources:
         mem_mb=1000,
         runtime=10,

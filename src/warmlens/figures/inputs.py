@@ -7,9 +7,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from warmlens.artifacts import ArtifactError
+from warmlens.audit import check_chains
 from warmlens.config import Config
-from warmlens.layout import SINGLE, stage_files
+from warmlens.layout import FIGURES, SINGLE, stage_files
 from warmlens.snakemake_command import remaking_command
+from warmlens.stages.settings import campaign_stages, stage_digests
 
 log = logging.getLogger(__name__)
 
@@ -38,6 +40,12 @@ NEEDED: dict[str, tuple[str, ...]] = {
 _PLANE = ("observed_scan", "smooth_model")  # of every campaign that is compared
 
 
+def drawn_figures(config: Config) -> list[str]:
+    """Figures that a campaign draws: those whose stages it has."""
+    stages = campaign_stages(config)
+    return [name for name in FIGURES if all(need.removesuffix("/*") in stages for need in NEEDED[name])]
+
+
 def figure_inputs(config: Config, name: str) -> dict[str, Path]:
     """Artifacts of figure `name` of a campaign by stage; "STAGE/i" where it needs all chunks of a stage."""
     return _located(config, NEEDED[name])
@@ -49,7 +57,7 @@ def find_inputs(name: str, results: Sequence[Path]) -> dict[str, Path]:
     Raises
     ------
     ArtifactError
-        If one is missing, with the command that makes it.
+        If one is missing, with the command that makes it; if one was not made with the settings of its campaign.
     """
     from warmlens.status import read_campaign
 
@@ -58,13 +66,14 @@ def find_inputs(name: str, results: Sequence[Path]) -> dict[str, Path]:
         for number, folder in enumerate(results):
             config = read_campaign(folder)
             here = _located(config, (*_PLANE, "scans/*") if _shows_mocks(config, len(results)) else _PLANE)
-            _refuse_missing(here, folder)
+            _check(here, folder, config)
             found |= {f"{number}/{key}": path for key, path in here.items()}
         return found
     if len(results) != 1:
         raise ArtifactError(f"figure {name} shows one campaign; give one --results, not {len(results)}")
-    inputs = figure_inputs(read_campaign(results[0]), name)
-    _refuse_missing(inputs, results[0])
+    config = read_campaign(results[0])
+    inputs = figure_inputs(config, name)
+    _check(inputs, results[0], config)
     return inputs
 
 
@@ -89,7 +98,7 @@ def _shows_mocks(config: Config, n_campaigns: int) -> bool:
     return bool(config.scan.residual_samples)
 
 
-def _refuse_missing(inputs: Inputs, folder: Path) -> None:
+def _check(inputs: Inputs, folder: Path, config: Config) -> None:
     missing = [path for path in inputs.values() if not path.exists()]
     if missing:
         name = str(missing[0].relative_to(folder))
@@ -97,3 +106,4 @@ def _refuse_missing(inputs: Inputs, folder: Path) -> None:
             f"{missing[0]}: no such artifact ({len(missing)} of {len(inputs)} are missing for this figure); make "
             f"it with: {remaking_command(folder, name)}"
         )
+    check_chains(inputs.values(), stage_digests(config))

@@ -6,10 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from warmlens.artifacts import Artifact, ArtifactError, open_artifact
+from warmlens.artifacts import Artifact, ArtifactError, open_artifact, settings_digest
 from warmlens.config import Config
-from warmlens.layout import EXCLUSION_NUMBERS
+from warmlens.layout import CONFIG, EXCLUSION_NUMBERS
 from warmlens.snakemake_command import remaking_command
+from warmlens.stages.settings import stage_digests
 from warmlens.status import read_campaign
 
 
@@ -34,10 +35,15 @@ def open_of_campaign(results: Path, name: str, stage: str) -> Iterator[Artifact]
     Raises
     ------
     ArtifactError
-        If it is missing, with the command that makes it.
+        If it is missing or was made with other settings than the campaign now has, and how to make it.
     """
     path = results / name
     if not path.exists():
         raise ArtifactError(f"{path}: no such artifact; make it with: {remaking_command(results, name)}")
     with open_artifact(path, stage) as artifact:
+        if settings_digest(artifact.settings) != stage_digests(read_campaign(results))[stage]:
+            raise ArtifactError(
+                f"{path}: made with other settings than those of {CONFIG}, or an older version of its stage; "
+                f"make it anew with: {remaking_command(results, name)}"
+            )
         yield artifact

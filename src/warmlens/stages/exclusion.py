@@ -14,7 +14,7 @@ import pandas as pd
 
 from warmlens import __version__
 from warmlens.artifacts import ArtifactError, Dataset, Provenance, atomic_path, write_artifact
-from warmlens.audit import check_chain
+from warmlens.audit import check_chains
 from warmlens.campaign import stream
 from warmlens.inference.acceptance import Acceptance, accept
 from warmlens.inference.calibration import CONFIDENCE, clopper_pearson
@@ -43,8 +43,7 @@ def run(
     inputs = {"observed_summary": observed_summary, "smooth_model": smooth_model}
     inputs |= {f"summaries/{path.stem}": path for path in summaries}
     provenance = Provenance("exclusion", settings.as_dict(), inputs, seed_key=f"{settings.seed}/exclusion")
-    for path in inputs.values():
-        check_chain(path, settings.upstream)
+    check_chains(inputs.values(), settings.upstream)
     table, good, upstream_warnings = usable_table(
         summaries, smooth_model, settings.n_samples, settings.abc.max_failed_fraction
     )
