@@ -3,6 +3,8 @@
 # make docs   set up, and write docs/configuration.md anew
 # make test   set up, and check style, types and behaviour
 # make test-slurm  as root: set up, install and start a Slurm of one node, and run and kill campaigns on it
+# make reliability  set up, inject every fault and write docs/reliability.md (as root with WARMLENS_TEST_SLURM=1: also
+#             those of Slurm, see test-slurm; rows of faults that did not run stay)
 PYTHON ?= python3
 RESULTS ?= results/demo
 CORES ?= $(shell getconf _NPROCESSORS_ONLN)
@@ -10,7 +12,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 SNAKEMAKE := $(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/local
 
-.PHONY: demo campaign hst report docs test test-slurm lint format lock clean
+.PHONY: demo campaign hst report docs test test-slurm reliability lint format lock clean
 
 demo: $(READY)
 	$(SNAKEMAKE) --configfile workflow/configs/demo.yaml
@@ -33,6 +35,9 @@ test: lint
 test-slurm: $(READY)
 	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[slurm]'
 	WARMLENS_TEST_SLURM=1 $(BIN)/pytest --durations=0 tests/slurm
+
+reliability: $(READY)
+	WARMLENS_TEST_FAULTS=1 $(BIN)/pytest -m fault --durations=0
 
 lint: $(READY)
 	$(BIN)/ruff check .

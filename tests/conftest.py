@@ -11,11 +11,16 @@ from warmlens import runtime
 from warmlens.config import Config
 from warmlens.config_file import load_config
 
+from .reliability import Recorder, outcome
+
+__all__ = ["outcome"]  # a fixture
+
 ROOT = Path(__file__).parents[1]
 
 
-def pytest_configure() -> None:
+def pytest_configure(config: pytest.Config) -> None:
     runtime.prepare()  # before the tests import anything numerical
+    config.pluginmanager.register(Recorder())
 
 
 _FIRST = ("scan/test_stages.py", "halos/test_population.py", "workflow/")

@@ -143,3 +143,64 @@ def test_axes_must_fit(tmp_path: Path) -> None:
             tmp_path / "a.h5", Provenance("halos", {}), {"x": Dataset(np.ones((2, 2)), "", ("n",), "")}, {}
         )
     assert not list(tmp_path.iterdir())
+
+
+def test_no_flipped_bit_is_read(tmp_path: Path) -> None:
+    """Arrays have HDF5's checksums, everything else the seal."""
+    path = tmp_path / "a.h5"
+    datasets = {
+        "maps": Dataset(np.arange(150.0, dtype=np.float32).reshape(6, 5, 5), "", ("n", "y", "x"), "maps"),
+        "numbers": Dataset(np.arange(3.0), "keV", ("n",), "numbers"),
+        "one": Dataset(np.array(3.5), "", (), "a number"),
+        "words": Dataset(["", "deux"], "", ("n",), "text"),
+    }
+    write_artifact(path, Provenance("halos", {"a": 1}, span=(0, 6)), datasets, {"bound": 2.5})
+    content = path.read_bytes()
+
+    def read() -> tuple[Any, ...]:
+        with open_artifact(path) as artifact:
+            arrays = [artifact.array(name).tobytes() for name in ("maps", "numbers", "one")]
+            whole = (artifact.stage, artifact.digest, artifact.metadata, artifact.settings, artifact.span)
+            return (*whole, *arrays, artifact.strings("words"))
+
+    expected, refused = read(), 0
+    for place in range(0, len(content), 41):
+        damaged = bytearray(content)
+        damaged[place] ^= 1 << (place % 8)
+        path.write_bytes(damaged)
+        try:
+            assert read() == expected, f"byte {place} is flipped"
+        except ArtifactError:
+            refused += 1
+    assert refused > 100, "most bytes of the file hold something"
+
+
+def test_what_the_seal_is_for(tmp_path: Path) -> None:
+    """A digit of the metadata, for which HDF5 has no checksum."""
+    path = tmp_path / "a.h5"
+    _write(path, metadata={"bound": 2.5})
+    path.write_bytes(path.read_bytes().replace(b'"bound":2.5', b'"bound":2.7'))
+    with (
+        pytest.raises(ArtifactError, match="have changed since it was written; delete the file"),
+        open_artifact(path),
+    ):
+        pass
+    with h5py.File(path, "r+") as file:
+        del file.attrs["seal"]
+    with open_artifact(path) as artifact:  # one of an early version
+        assert artifact.metadata == {"bound": 2.7}
+
+
+def test_a_chunk_that_holds_another_span(tmp_path: Path) -> None:
+    path = tmp_path / "chunk-0000000-0000003.h5"
+    _write(path)
+    with open_artifact(path):
+        pass
+    swapped = path.rename(tmp_path / "chunk-0000003-0000006.h5")
+    with (
+        pytest.raises(
+            ArtifactError, match=r"its name says 0000003 to 0000006, but it holds \(0, 3\); delete the file"
+        ),
+        open_artifact(swapped),
+    ):
+        pass

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts import ArtifactError, Dataset, Provenance, settings_digest, write_artifact
-from warmlens.audit import audit, check_chain, check_chains, examine
+from warmlens.audit import audit, check_chain, check_chains, check_unrecorded, examine
 from warmlens.audit_campaign import differences
 from warmlens.audit_report import age
 
@@ -125,3 +125,23 @@ def test_age() -> None:
     assert age("2026-02-28T12:00:00+00:00", now) == "10 d"
     assert age("2026-03-11T12:00:00+00:00", now) == "in the future"
     assert age("yesterday", now) == "unknown"
+
+
+def test_artifacts_that_snakemake_has_no_record_of(chain: dict[Path, str], tmp_path: Path) -> None:
+    check_unrecorded(chain, EXPECTED, tmp_path)
+    changed = {**EXPECTED, "deflections": settings_digest({"b": 3})}
+    with pytest.raises(ArtifactError, match="1 artifacts were made with other settings") as error:
+        check_unrecorded(chain, changed, tmp_path)
+    assert str(error.value).endswith(f"again: {tmp_path / 'deflections.h5'}")
+    (tmp_path / "mocks.h5").write_bytes(b"")
+    with pytest.raises(ArtifactError, match=r"mocks\.h5: not a readable HDF5 file"):
+        check_unrecorded(chain, EXPECTED, tmp_path)
+
+
+def test_content_of_the_last_artifact_of_a_chain(chain: dict[Path, str], tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "mocks.h5", "r+") as file:
+        file["x"][0] = 7.0
+    with pytest.raises(
+        ArtifactError, match=r"mocks\.h5: altered: its content does not match its digest; delete it"
+    ):
+        check_chain(tmp_path / "mocks.h5", EXPECTED)

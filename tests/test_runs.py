@@ -43,12 +43,12 @@ def test_no_lock_without_files(tmp_path: Path) -> None:
 
 
 def test_begin_and_end(tmp_path: Path) -> None:
-    runs.begin(tmp_path)
+    runs.begin(tmp_path, tmp_path / "results")
     (found,) = runs.runs(tmp_path)
     assert found.pid == os.getpid() and not found.gone
     runs.forget_gone(tmp_path)
     assert runs.runs(tmp_path) == [found]
-    runs.end(tmp_path)
+    runs.end(tmp_path, tmp_path / "results")
     assert runs.runs(tmp_path) == []
 
 
@@ -81,7 +81,7 @@ def test_number_of_a_dead_process_given_to_another(locked: Path) -> None:
 
 def test_lock_of_a_running_one_is_kept(locked: Path) -> None:
     record(locked, dead())
-    runs.begin(locked)
+    runs.begin(locked, locked / "results")
     with pytest.raises(LockedError, match=rf"is locked by process {os.getpid()} on .*wait for it"):
         runs.check_abandoned(locked)
 
@@ -97,3 +97,45 @@ def test_lock_from_another_machine_is_kept(locked: Path) -> None:
 def test_lock_without_a_record_is_kept(locked: Path) -> None:
     with pytest.raises(LockedError, match=r"not recorded by whom.*`snakemake --unlock` lifts the lock"):
         runs.check_abandoned(locked)
+
+
+class TestResultsOfSeveralFolders:
+    """Snakemake locks its working folder; results may be reached from another one."""
+
+    def other(self, results: Path, folder: Path, host: str = "") -> subprocess.Popen[bytes]:
+        process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])
+        born = psutil.Process(process.pid).create_time()
+        run = Run(host or socket.gethostname(), process.pid, born, "then", str(folder))
+        target = results / ".runs" / f"{run.host}-{run.pid}.json"
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(json.dumps(run.__dict__))
+        return process
+
+    def test_one_that_works_from_another_folder(self, tmp_path: Path) -> None:
+        results = tmp_path / "results"
+        process = self.other(results, tmp_path / "there")
+        with pytest.raises(LockedError, match=rf"process {process.pid} .* from the folder .*there; wait for it"):
+            runs.begin(tmp_path, results)
+        assert len(list(results.glob(".runs/*"))) == 1, "a run that was refused leaves no record"
+        assert runs.runs(tmp_path) == []
+        process.kill()
+        process.wait()
+        runs.begin(tmp_path, results)
+        (left,) = results.glob(".runs/*")
+        assert left.name.endswith(f"-{os.getpid()}.json"), "the record of a killed run is removed"
+        runs.end(tmp_path, results)
+        assert not list(results.glob(".runs/*"))
+
+    def test_one_of_the_same_folder_is_left_to_the_lock(self, tmp_path: Path) -> None:
+        process = self.other(tmp_path / "results", tmp_path)
+        runs.begin(tmp_path, tmp_path / "results")
+        process.kill()
+        process.wait()
+
+    def test_one_on_another_machine(self, tmp_path: Path) -> None:
+        results = tmp_path / "results"
+        self.other(results, tmp_path / "there", "another-machine").kill()
+        with pytest.raises(LockedError, match="if it is gone, delete ") as error:
+            runs.begin(tmp_path, results)
+        Path(str(error.value).rpartition("delete ")[2]).unlink()
+        runs.begin(tmp_path, results)

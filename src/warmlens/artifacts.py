@@ -23,11 +23,14 @@ from warmlens import __version__
 from warmlens.code_version import code_commit
 from warmlens.hdf5_checks import (
     UnusableFileError,
+    check_name,
+    check_seal,
     dataset_names,
     inputs_attribute,
     json_attribute,
     number_attribute,
     read_text,
+    seal,
     span_attribute,
     text_attribute,
 )
@@ -98,13 +101,13 @@ class Artifact:
             raise ArtifactError(f"{self.path}: has no dataset {name!r}; it was written by other code: {_REMEDY}")
         return self.file[name]
 
-    def array(self, name: str) -> npt.NDArray[Any]:
-        """Dataset `name` of numbers, read whole."""
+    def array(self, name: str, rows: Any = ...) -> npt.NDArray[Any]:
+        """Dataset `name` of numbers, read whole, or what an index picks of it."""
         node = self[name]
         with reading(self.path, f"dataset {name!r}"):
             if node.dtype.kind == "O":
                 raise UnusableFileError(f"dataset {name!r} is text, expected numbers")
-            return node[...]
+            return node[rows]
 
     def strings(self, name: str) -> list[str]:
         """Dataset `name` of strings, read whole."""
@@ -202,11 +205,11 @@ def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
     ArtifactError
         If there is no room, or the file cannot be written.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for abandoned in path.parent.glob(f".{path.name}.tmp-*"):  # of a killed job
-        abandoned.unlink()
     temporary = path.with_name(f".{path.name}.tmp-{os.getpid()}")  # no name that a pattern *.h5 would match
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for abandoned in path.parent.glob(f".{path.name}.tmp-*"):  # of a killed job
+            abandoned.unlink()
         free = shutil.disk_usage(path.parent).free
         if free < n_bytes + _SPARE_BYTES:
             raise OSError(errno.ENOSPC, f"{free / 2**20:.0f} MiB free, {n_bytes / 2**20:.0f} MiB needed")
@@ -218,13 +221,14 @@ def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
         if isinstance(error, ArtifactError):
             raise
         full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
-        reason = f"the disk is full ({error})" if full else str(error)
+        reason, remedy = (f"the disk is full ({error})", "make room") if full else (str(error), "mend that")
         raise ArtifactError(
             f"{path}: could not be written: {reason}. Finished artifacts are intact; "
-            "make room and start the campaign again"
+            f"{remedy} and start the campaign again"
         ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary.exists():  # on a read-only disk nothing can be removed, though nothing is there
+            temporary.unlink()
 
 
 def _write_file(
@@ -264,6 +268,8 @@ def _write_file(
                 "complete": 1,
             }
         )
+        file_bytes = target.stat().st_size
+        file.attrs["seal"] = seal(file, dataset_names(file, file_bytes), file_bytes)
     return digest
 
 
@@ -323,7 +329,7 @@ def open_artifact(path: Path, *stages: str) -> Iterator[Artifact]:
             artifact = _checked(path, file)
         if stages and artifact.stage not in stages:
             expected = " or ".join(map(repr, stages))
-            raise ArtifactError(f"{path}: holds stage {artifact.stage!r}, expected {expected}")
+            raise ArtifactError(f"{path}: holds stage {artifact.stage!r}, expected {expected}; {_REMEDY}")
         yield artifact
 
 
@@ -336,10 +342,12 @@ def _checked(path: Path, file: h5py.File) -> Artifact:
         raise ArtifactError(f"{path}: schema version {version:g}, this program reads {SCHEMA_VERSION}; {_REMEDY}")
     for name in _DESCRIPTIVE:
         text_attribute(file, name)
-    return Artifact(
+    file_bytes = path.stat().st_size
+    names = dataset_names(file, file_bytes)
+    artifact = Artifact(
         path=path,
         file=file,
-        names=dataset_names(file, path.stat().st_size),
+        names=names,
         stage=text_attribute(file, "stage"),
         digest=text_attribute(file, "digest"),
         metadata=json_attribute(file, "metadata", lambda content: _Recorded(path, content)),
@@ -348,6 +356,9 @@ def _checked(path: Path, file: h5py.File) -> Artifact:
         span=span_attribute(file, "span"),
         wall_seconds=number_attribute(file, "wall_seconds"),
     )
+    check_seal(file, names, file_bytes)
+    check_name(path.stem, artifact.span)
+    return artifact
 
 
 def input_digest(path: Path) -> str:

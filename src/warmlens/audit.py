@@ -21,6 +21,7 @@ from warmlens.artifacts import (
 )
 from warmlens.config_observation import FITS_FILES
 from warmlens.layout import results_folder
+from warmlens.runs import is_recorded
 
 Verdict = Literal["ok", "missing", "damaged", "altered", "settings", "inputs", "manifest"]
 
@@ -116,7 +117,7 @@ def read_header(artifact: Artifact, place: Path) -> Header:
 def check_chain(path: Path, expected: Mapping[str, str]) -> None:
     """Check that an artifact and all it was made from had the expected settings and are unchanged since.
 
-    Only attributes are read; `audit` hashes the contents too.
+    Of the artifact itself the content is hashed too, of those that it was made from `audit` does that.
 
     Parameters
     ----------
@@ -137,6 +138,11 @@ def check_chains(paths: Iterable[Path], expected: Mapping[str, str]) -> None:
     """Check several artifacts as `check_chain` does; what they have in common is read once."""
     headers: dict[Path, Header] = {}
     pending = [path.resolve() for path in paths if path.suffix == ".h5"][::-1]
+    for path in pending:
+        with open_artifact(path) as artifact, reading(path):
+            altered = _check_content(artifact)
+        if altered:
+            raise ArtifactError(f"{path}: {altered[0].problem}; {_REMEDY}")
     seen: set[Path] = set()
     while pending:
         current = pending.pop()
@@ -234,8 +240,7 @@ def _examine(path: Path, stage: str, expected: Mapping[str, str], known: dict[Pa
     try:
         with open_artifact(path, stage) as artifact, reading(path):
             header = read_header(artifact, path)
-            if content_digest(artifact.file, artifact.metadata) != artifact.digest:
-                findings.append(Finding(path, "altered: its content does not match its digest", "altered"))
+            findings += _check_content(artifact)
     except (ArtifactError, OSError) as error:
         return Record(path, stage, header, (Finding(path, f"damaged: {error}", "damaged"),))
     findings += _check_settings(path, header, expected)
@@ -244,6 +249,35 @@ def _examine(path: Path, stage: str, expected: Mapping[str, str], known: dict[Pa
     except (ArtifactError, OSError) as error:
         findings.append(Finding(path, f"an input cannot be read: {error}", "inputs"))
     return Record(path, stage, header, tuple(findings))
+
+
+def check_unrecorded(
+    expected_files: Mapping[Path, str], expected_settings: Mapping[str, str], folder: Path
+) -> None:
+    """Check the settings of the artifacts that the Snakemake of a working folder has no record of.
+
+    Without its records, which are in `.snakemake`, it takes them for finished, whatever they were made with.
+
+    Raises
+    ------
+    ArtifactError
+        Naming those that the campaign would not make like that, and what to do.
+    """
+    unrecorded = [path for path in expected_files if path.exists() and not is_recorded(folder, path)]
+    headers: dict[Path, Header] = {}
+    stale = [path for path in unrecorded if _check_settings(path, _header(path, headers), expected_settings)]
+    if stale:
+        raise ArtifactError(
+            f"{len(stale)} artifacts were made with other settings or an older version of their stage, and "
+            f"Snakemake has no record of them in {(folder / '.snakemake').resolve()}: it would take them as they "
+            f"are; delete them and run the campaign again: {' '.join(map(str, stale))}"
+        )
+
+
+def _check_content(artifact: Artifact) -> list[Finding]:
+    if content_digest(artifact.file, artifact.metadata) != artifact.digest:
+        return [Finding(artifact.path, "altered: its content does not match its digest", "altered")]
+    return []
 
 
 def _check_settings(path: Path, header: Header, expected: Mapping[str, str]) -> list[Finding]:

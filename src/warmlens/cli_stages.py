@@ -8,6 +8,8 @@ from typing import Annotated, Optional
 
 import typer
 
+from warmlens.stages.time_limit import SAMPLE_SECONDS
+
 app = typer.Typer()
 PANEL = "Stages, called by the workflow"
 
@@ -15,6 +17,7 @@ Params = Annotated[str, typer.Option(help="Settings of the stage as JSON; see `w
 Output = Annotated[Path, typer.Option(help="Artifact to write.")]
 SpanOption = Annotated[tuple[int, int], typer.Option(help="First, and last + 1, of what to compute.")]
 Input = Annotated[Path, typer.Option(help="Artifact of that stage.")]
+SampleSeconds = Annotated[float, typer.Option(help="Longest time of one sample; one that takes longer fails.")]
 Inputs = Annotated[list[Path], typer.Option(help="Artifacts of that stage; repeat the option.")]
 
 
@@ -80,40 +83,63 @@ def observed_summary(params: Params, observed_scan: Input, output: Output) -> No
 
 
 @app.command(rich_help_panel=PANEL)
-def halos(params: Params, span: SpanOption, output: Output) -> None:
+def halos(
+    params: Params, span: SpanOption, output: Output, sample_seconds: SampleSeconds = SAMPLE_SECONDS
+) -> None:
     """Draw the halo realizations of a chunk."""
     from warmlens.stages import halos as stage
     from warmlens.stages.settings import HalosSettings
 
-    stage.run(HalosSettings.model_validate(json.loads(params)), span, output)
+    stage.run(HalosSettings.model_validate(json.loads(params)), span, output, sample_seconds)
 
 
 @app.command(rich_help_panel=PANEL)
-def deflections(params: Params, halos: Input, observation: Input, output: Output) -> None:
+def deflections(
+    params: Params,
+    halos: Input,
+    observation: Input,
+    output: Output,
+    sample_seconds: SampleSeconds = SAMPLE_SECONDS,
+) -> None:
     """Compute the filtered deflections of a chunk."""
     from warmlens.stages import deflections as stage
     from warmlens.stages.settings import DeflectionsSettings
 
-    stage.run(DeflectionsSettings.model_validate(json.loads(params)), halos, observation, output)
+    settings = DeflectionsSettings.model_validate(json.loads(params))
+    stage.run(settings, halos, observation, output, sample_seconds)
 
 
 @app.command(rich_help_panel=PANEL)
-def mocks(params: Params, deflections: Input, observation: Input, smooth_model: Input, output: Output) -> None:
+def mocks(
+    params: Params,
+    deflections: Input,
+    observation: Input,
+    smooth_model: Input,
+    output: Output,
+    sample_seconds: SampleSeconds = SAMPLE_SECONDS,
+) -> None:
     """Make the mock images of a chunk."""
     from warmlens.stages import mocks as stage
     from warmlens.stages.settings import MocksSettings
 
     settings = MocksSettings.model_validate(json.loads(params))
-    stage.run(settings, deflections, observation, smooth_model, output)
+    stage.run(settings, deflections, observation, smooth_model, output, sample_seconds)
 
 
 @app.command(rich_help_panel=PANEL)
-def null_mocks(params: Params, observation: Input, smooth_model: Input, output: Output) -> None:
+def null_mocks(
+    params: Params,
+    observation: Input,
+    smooth_model: Input,
+    output: Output,
+    sample_seconds: SampleSeconds = SAMPLE_SECONDS,
+) -> None:
     """Make the mock images without substructure of the null test."""
     from warmlens.stages import mocks as stage
     from warmlens.stages.settings import NullMocksSettings
 
-    stage.run_null(NullMocksSettings.model_validate(json.loads(params)), observation, smooth_model, output)
+    settings = NullMocksSettings.model_validate(json.loads(params))
+    stage.run_null(settings, observation, smooth_model, output, sample_seconds)
 
 
 @app.command("null-scans", rich_help_panel=PANEL)

@@ -57,7 +57,7 @@ def _results_folder(text: str) -> str:
             f"must be a folder of its own: within the working folder, or an absolute path; without '..', '~' or a "
             f"dash in front; got {text!r}"
         )
-    return text
+    return str(path)  # one spelling of it: Snakemake compares texts
 
 
 ResultsFolder = Annotated[str, AfterValidator(_results_folder)]

@@ -7,9 +7,11 @@ so is whatever would need far more memory than the file suggests.
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import h5py
@@ -24,6 +26,11 @@ _STRING_BLOCK_BYTES = 2**28
 _MAX_TEXT = 2**25  # of an attribute; metadata and inputs of the largest campaigns are below 2**21
 _MAX_EDGE = 9_999_999  # of a span: file names have seven digits
 _FILTERS = frozenset({h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32})
+_SPAN_IN_NAME = re.compile(r"(?:chunk|shard)-(\d{7})-(\d{7})")
+_SEALED = (
+    *("schema", "stage", "package_version", "git_commit", "settings", "settings_sha256", "metadata", "inputs"),
+    *("seed_key", "created_utc", "digest"),
+)
 _LAYOUTS = frozenset({h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED})
 
 
@@ -194,6 +201,37 @@ def span_attribute(node: h5py.HLObject, name: str) -> tuple[int, int] | None:
     if not (0 <= start < stop <= _MAX_EDGE and start.is_integer() and stop.is_integer()):
         raise UnusableFileError(f"its attribute {name!r} is [{start:g}, {stop:g}], which is no span")
     return int(start), int(stop)
+
+
+def seal(file: h5py.File, names: Iterable[str], file_bytes: int) -> str:
+    """SHA-256 over what HDF5 has no checksum of: texts, among them attributes, and datasets without chunks.
+
+    Headers have one, and so has every chunk of an array. With the seal no flipped bit goes unnoticed in anything
+    that is computed with, though the arrays, which may be large, are not hashed. Left out are the units and
+    descriptions of datasets.
+    """
+    sha = hashlib.sha256()
+    for name in _SEALED:
+        sha.update(text_attribute(file, name).encode() + b"\0")
+    for name in names:
+        node = file[name]
+        if not node.fletcher32:
+            parts = read_text(node, file_bytes) if node.dtype.kind == "O" else [node[...].tobytes()]
+            sha.update(name.encode() + b"\0" + b"\0".join(parts) + b"\0")
+    return sha.hexdigest()
+
+
+def check_seal(file: h5py.File, names: Iterable[str], file_bytes: int) -> None:
+    """Refuse a file whose texts or single numbers have changed; files of early versions have no seal."""
+    if "seal" in file.attrs and text_attribute(file, "seal") != seal(file, names, file_bytes):
+        raise UnusableFileError("its attributes, texts or single numbers have changed since it was written")
+
+
+def check_name(stem: str, span: tuple[int, int] | None) -> None:
+    """Refuse a chunk or shard that holds another span than its name says, as when two were swapped."""
+    named = _SPAN_IN_NAME.fullmatch(stem)
+    if named and span != (int(named[1]), int(named[2])):
+        raise UnusableFileError(f"its name says {named[1]} to {named[2]}, but it holds {span}")
 
 
 def _attribute(node: h5py.HLObject, name: str) -> h5py.h5a.AttrID:

@@ -1,10 +1,12 @@
 """Who is at work in a folder: records of running Snakemakes, and whether their lock may be lifted.
 
 Snakemake locks its working folder with files that say nothing of their owner, and a killed one leaves them behind.
+Results that are reached from several working folders it does not lock at all; who works on them is recorded there.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 import os
 import socket
@@ -18,6 +20,8 @@ from warmlens.artifacts import atomic_path
 
 _RECORDS = Path(".snakemake/warmlens-runs")
 _LOCKS = Path(".snakemake/locks")
+_METADATA = Path(".snakemake/metadata")
+_CLAIMS = Path(".runs")  # in a results folder
 
 
 class LockedError(RuntimeError):
@@ -36,12 +40,15 @@ class Run:
         When its process began [s since the epoch]: a later process may have the same number.
     started
         The same in words, UTC.
+    folder
+        Its working folder.
     """
 
     host: str
     pid: int
     born: float
     started: str
+    folder: str = ""
 
     @property
     def gone(self) -> bool:
@@ -59,26 +66,52 @@ class Run:
         return f"process {self.pid} on {self.host}, started {self.started}"
 
 
-def begin(folder: Path) -> None:
-    """Record that this process runs Snakemake in `folder`."""
+def begin(folder: Path, results: Path) -> None:
+    """Record that this process runs Snakemake in `folder` and makes `results`.
+
+    Raises
+    ------
+    LockedError
+        If one of another working folder makes the same results, or may. Within a folder Snakemake sees to that.
+    """
     now = datetime.now(UTC).isoformat(timespec="seconds")
-    run = Run(socket.gethostname(), os.getpid(), psutil.Process().create_time(), now)
-    with atomic_path(_record(folder, run.host, run.pid)) as temporary:
-        temporary.write_text(json.dumps(asdict(run)))
+    run = Run(socket.gethostname(), os.getpid(), psutil.Process().create_time(), now, str(folder.resolve()))
+    for place in (folder / _RECORDS, results / _CLAIMS):
+        with atomic_path(_record(place, run)) as temporary:
+            temporary.write_text(json.dumps(asdict(run)))
+    # only now, so that of two that begin at once none overlooks the other
+    for other in _read(results / _CLAIMS):
+        if other.folder != run.folder and not other.gone:
+            end(folder, results)
+            elsewhere = f"; if it is gone, delete {_record(results / _CLAIMS, other)}"
+            raise LockedError(
+                f"{results.resolve()}: {other}, works on these results from the folder {other.folder}; "
+                f"wait for it, or stop it{'' if other.host == run.host else elsewhere}"
+            )
+    _forget_gone(results / _CLAIMS)
 
 
-def end(folder: Path) -> None:
-    """Remove the record of this process."""
-    _record(folder, socket.gethostname(), os.getpid()).unlink(missing_ok=True)
+def end(folder: Path, results: Path) -> None:
+    """Remove the records of this process."""
+    for place in (folder / _RECORDS, results / _CLAIMS):
+        (place / _name(socket.gethostname(), os.getpid())).unlink(missing_ok=True)
 
 
-def _record(folder: Path, host: str, pid: int) -> Path:
-    return folder / _RECORDS / f"{host}-{pid}.json"
+def _record(place: Path, run: Run) -> Path:
+    return place / _name(run.host, run.pid)
+
+
+def _name(host: str, pid: int) -> str:
+    return f"{host}-{pid}.json"
+
+
+def _read(place: Path) -> list[Run]:
+    return [Run(**json.loads(path.read_text())) for path in sorted(place.glob("*.json"))]
 
 
 def runs(folder: Path) -> list[Run]:
     """All records of `folder`, also of killed runs."""
-    return [Run(**json.loads(path.read_text())) for path in sorted((folder / _RECORDS).glob("*.json"))]
+    return _read(folder / _RECORDS)
 
 
 def is_locked(folder: Path) -> bool:
@@ -111,6 +144,18 @@ def check_abandoned(folder: Path) -> None:
 
 def forget_gone(folder: Path) -> None:
     """Remove the records of runs that are gone."""
-    for run in runs(folder):
+    _forget_gone(folder / _RECORDS)
+
+
+def _forget_gone(place: Path) -> None:
+    for run in _read(place):
         if run.gone:
-            _record(folder, run.host, run.pid).unlink(missing_ok=True)
+            _record(place, run).unlink(missing_ok=True)
+
+
+def is_recorded(folder: Path, output: Path) -> bool:
+    """Whether the Snakemake of a working folder has a record of how it made a file of a rule."""
+    name = base64.urlsafe_b64encode(str(output).encode()).decode()
+    length = os.pathconf(folder, "PC_NAME_MAX") - 1  # longer ones are split into folders
+    *above, last = (name[i : i + length] for i in range(0, len(name), length))
+    return (folder / _METADATA).joinpath(*(f"@{part}" for part in above), last).exists()

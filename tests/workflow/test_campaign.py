@@ -17,6 +17,7 @@ from warmlens.artifacts import open_artifact
 from warmlens.figures.inputs import NEEDED
 from warmlens.layout import FIGURES
 
+from ..reliability import Outcome, fault
 from .conftest import BIN, N_CHUNKED_STAGES, Project
 
 ABC = "results/tiny/abc.h5"
@@ -58,7 +59,10 @@ def test_result_audit_and_status(finished: Project) -> None:
     assert "about 0 s left on 2 cores" in status.stdout
 
 
-def test_killed_campaign_resumes_on_one_core_to_the_same_digests(finished: Project, project: Project) -> None:
+@fault("Processes", "Snakemake and all its jobs are killed", "SIGKILL to all, then `warmlens resume`", quick=True)
+def test_killed_campaign_resumes_on_one_core_to_the_same_digests(
+    finished: Project, project: Project, outcome: Outcome
+) -> None:
     """As a user does it, `warmlens run` and `resume`; all on one core, where the finished one had two."""
     process = subprocess.Popen(
         [str(BIN / "warmlens"), "run", "--configfile", "overlay-0.yaml", "--cores", "1", "--", ABC],
@@ -83,7 +87,7 @@ def test_killed_campaign_resumes_on_one_core_to_the_same_digests(finished: Proje
     resumed = project.warmlens("resume", "results/tiny", "--cores", "1", "--", ABC)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
     assert "its lock is lifted" in resumed.stdout
-    assert project.digests() == finished.digests()
+    outcome.same_digests(project.digests(), finished.digests(), "the jobs in flight", after="resumed")
     assert not list(project.results.rglob(".*.tmp-*")), "a partial file looks like an artifact"
     again = project.warmlens("resume", "results/tiny", "--", ABC)
     assert again.returncode == 0 and "Nothing to be done" in again.stdout + again.stderr
@@ -206,7 +210,10 @@ def test_invalid_configuration_stops_before_any_job(project: Project) -> None:
     assert not project.results.exists()
 
 
-def test_failed_samples_are_carried_to_the_table_and_left_out(copy_of: Callable[[], Project]) -> None:
+@fault("Samples", "samples raise an error", "haloes below the resolution, in a whole campaign", quick=True)
+def test_failed_samples_are_carried_to_the_table_and_left_out(
+    copy_of: Callable[[], Project], outcome: Outcome
+) -> None:
     """Haloes below twice the resolution of a very warm relic cannot be drawn: those samples fail, others go on."""
     project = copy_of()
     prior = {"m_th_kev": [0.2, 1.0], "log10_m_halo_msun": [10.0, 10.3]}
@@ -237,7 +244,8 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(copy_of: Callable[
     project.configure({"dark_matter": prior, "abc": {"max_failed_fraction": 0.1}})
     done = project.snakemake(ABC, check=False)
     assert done.returncode != 0
-    assert "more than abc.max_failed_fraction = 0.1 allows" in done.stdout + done.stderr
+    outcome.goes_on("the samples fail, the others go on", "those samples, counted as failed")
+    outcome.stops(done.stdout + done.stderr, "more than abc.max_failed_fraction = 0.1 allows")
 
 
 def test_audit_names_an_altered_and_a_missing_artifact(copy_of: Callable[[], Project]) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 
 from warmlens import runs, runtime
-from warmlens.artifacts import atomic_path, canonical_json, settings_digest
+from warmlens.artifacts import ArtifactError, atomic_path, canonical_json, settings_digest
+from warmlens.audit import check_unrecorded
 from warmlens.config_file import ConfigError, parse_config
 from warmlens.config_yaml import read_yaml
 from warmlens.figures.inputs import drawn_figures, figure_inputs
@@ -28,7 +29,8 @@ from warmlens.layout import (
     stage_files,
 )
 from warmlens.manifest import derived_files
-from warmlens.stages.settings import campaign_stages, stage_settings
+from warmlens.stages.settings import campaign_stages, stage_digests, stage_settings
+from warmlens.stages.time_limit import SAMPLE_SECONDS
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -76,20 +78,34 @@ def repeated(option, paths):
     return " ".join(f"--{option} {shlex.quote(str(path))}" for path in paths)
 
 
+if workflow.is_main_process:
+    try:
+        check_unrecorded(
+            {path: stage for stage in CAMPAIGN_STAGES for path in stage_files(CAMPAIGN, stage)},
+            stage_digests(CAMPAIGN),
+            Path(),
+        )
+    except (ArtifactError, ConfigError) as error:
+        raise WorkflowError(str(error)) from None
+
+
 onstart:
-    runs.begin(Path())
+    try:
+        runs.begin(Path(), Path(CAMPAIGN.results))
+    except (ArtifactError, runs.LockedError) as error:
+        raise WorkflowError(str(error)) from None
     with atomic_path(Path(results(CONFIG))) as temporary:
         temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 
 
 onsuccess:
-    runs.end(Path())
+    runs.end(Path(), Path(CAMPAIGN.results))
     if Path(single(ANSWER)).exists():
         shell(f"warmlens result {shlex.quote(CAMPAIGN.results)}")
 
 
 onerror:
-    runs.end(Path())
+    runs.end(Path(), Path(CAMPAIGN.results))
     print(f"Finished artifacts are kept. `warmlens status {CAMPAIGN.results}` shows what is done and what failed;")
     print("start the same command again to go on from there.")

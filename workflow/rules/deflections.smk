@@ -13,8 +13,9 @@ rule deflections:
     resources:
         mem_mb=1000,
         runtime=60,
+        sample_seconds=SAMPLE_SECONDS,
     message:
         "deflections: samples {wildcards.start} to {wildcards.stop}"
     shell:
         "warmlens deflections --params {params.settings:q} --halos {input.halos:q}"
-        " --observation {input.observation:q} --output {output:q} > {log:q} 2>&1"
+        " --observation {input.observation:q} --output {output:q} --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"

@@ -10,8 +10,9 @@ rule halos:
     resources:
         mem_mb=1000,
         runtime=60,
+        sample_seconds=SAMPLE_SECONDS,
     message:
         "halos: samples {wildcards.start} to {wildcards.stop}"
     shell:
         "warmlens halos --params {params.settings:q} --span {wildcards.start} {wildcards.stop}"
-        " --output {output:q} > {log:q} 2>&1"
+        " --output {output:q} --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"

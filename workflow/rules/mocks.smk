@@ -14,9 +14,10 @@ rule mocks:
     resources:
         mem_mb=1000,
         runtime=60,
+        sample_seconds=SAMPLE_SECONDS,
     message:
         "mocks: samples {wildcards.start} to {wildcards.stop}"
     shell:
         "warmlens mocks --params {params.settings:q} --deflections {input.deflections:q}"
         " --observation {input.observation:q} --smooth-model {input.smooth_model:q}"
-        " --output {output:q} > {log:q} 2>&1"
+        " --output {output:q} --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"

@@ -14,11 +14,13 @@ rule null_mocks:
     resources:
         mem_mb=1000,
         runtime=60,
+        sample_seconds=SAMPLE_SECONDS,
     message:
         "null test: mocks without substructure"
     shell:
         "warmlens null-mocks --params {params.settings:q} --observation {input.observation:q}"
-        " --smooth-model {input.smooth_model:q} --output {output:q} > {log:q} 2>&1"
+        " --smooth-model {input.smooth_model:q} --output {output:q}"
+        " --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"
 
 
 rule null_scans:

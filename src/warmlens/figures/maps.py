@@ -81,7 +81,7 @@ def read_deflection_maps(inputs: Inputs) -> SampleMaps:
     grid = read_observation(needed(inputs, "observation")).grid
     with open_artifact(needed(inputs, "deflections"), "deflections") as artifact:
         samples = warm_to_cold(artifact)
-        maps = [artifact["delta_alpha"][item.row, 0].astype(np.float64) for item in samples]
+        maps = [artifact.array("delta_alpha", (item.row, 0)).astype(np.float64) for item in samples]
     return SampleMaps(tuple(maps), tuple(samples), grid, "delta_alpha_x_arcsec")
 
 

@@ -190,7 +190,7 @@ def read_mocks_figure(inputs: Inputs) -> MocksFigure:
         sample = warm_to_cold(artifact)[-1]
         for band in observed.bands:
             fit = model.fits[band.name]
-            mock = np.where(band.mask, artifact[f"{band.name}/image"][sample.row].astype(np.float64), np.nan)
+            mock = np.where(band.mask, artifact.array(f"{band.name}/image", sample.row).astype(np.float64), np.nan)
             image = np.where(band.mask, band.image, np.nan)
             sigma = np.where(band.mask, fit.sigma, 1.0)
             rows.append(MockRow(band.name, image, mock, (image - fit.model) / sigma, (mock - fit.model) / sigma))

@@ -226,7 +226,7 @@ class _Reader:
 
     def stage_record(self, stage: str) -> StageRecord:
         with self._open(stage) as artifact:
-            status = int(artifact["samples/status"][self.row])
+            status = int(artifact.array("samples/status", self.row))
             words = {OK: "done", FAILED_HERE: "failed here"}
             keys = seed_keys(str(artifact.file.attrs["seed_key"]), self.sample, artifact.metadata)
             campaign = self.config.campaign
@@ -245,7 +245,7 @@ class _Reader:
     def parameters(self) -> tuple[float, float]:
         with self._open("halos") as artifact:
             names = ("m_th_kev", "log10_m_halo_msun")
-            m_th_kev, log10_m_halo_msun = (float(artifact[f"samples/{name}"][self.row]) for name in names)
+            m_th_kev, log10_m_halo_msun = (float(artifact.array(f"samples/{name}", self.row)) for name in names)
         return m_th_kev, log10_m_halo_msun
 
     def lens(self) -> LensGeometry:
@@ -261,22 +261,25 @@ class _Reader:
             counts = ("n_accreted", "n_friction", "n_stripped_below", "n_surviving")
             return HaloFacts(
                 read_subhalos(artifact, self.row),
-                {name: int(artifact[f"halo/{name}"][self.row]) for name in counts},
-                float(artifact["halo/f_sub"][self.row]),
-                float(artifact["halo/z_half"][self.row]),
+                {name: int(artifact.array(f"halo/{name}", self.row)) for name in counts},
+                float(artifact.array("halo/f_sub", self.row)),
+                float(artifact.array("halo/z_half", self.row)),
                 artifact.array("halo/cumulative_mass_function_bins"),
-                artifact["halo/cumulative_mass_function"][self.row].astype(np.float64),
+                artifact.array("halo/cumulative_mass_function", self.row).astype(np.float64),
                 float(artifact.settings["halos"]["min_mass_msun"]),
             )
 
     def deflection(self) -> tuple[FloatArray, float]:
         with self._open("deflections") as artifact:
-            return artifact["delta_alpha"][self.row].astype(np.float64), float(artifact["rms"][self.row])
+            return artifact.array("delta_alpha", self.row).astype(np.float64), float(
+                artifact.array("rms", self.row)
+            )
 
     def mocks(self) -> dict[str, FloatArray]:
         with self._open("mocks") as artifact:
             return {
-                band: artifact[f"{band}/image"][self.row].astype(np.float64) for band in artifact.metadata["bands"]
+                band: artifact.array(f"{band}/image", self.row).astype(np.float64)
+                for band in artifact.metadata["bands"]
             }
 
     def scan(self) -> dict[str, FloatArray]:
@@ -285,11 +288,11 @@ class _Reader:
 
     def chi2(self) -> dict[str, float]:
         with self._open("scans") as artifact:
-            return {band: float(artifact[f"{band}/chi2"][self.row]) for band in artifact.metadata["bands"]}
+            return {band: float(artifact.array(f"{band}/chi2", self.row)) for band in artifact.metadata["bands"]}
 
     def summaries(self) -> dict[str, FloatArray]:
         with self._open("summaries") as artifact:
-            return {kind: artifact[f"{COMBINED}/{kind}"][self.row] for kind in SUMMARIES}
+            return {kind: artifact.array(f"{COMBINED}/{kind}", self.row) for kind in SUMMARIES}
 
 
 def seed_keys(pattern: str, sample: int, metadata: Mapping[str, Any]) -> tuple[str, ...]:

@@ -18,11 +18,18 @@ from warmlens.stages.halos import COLUMNS, geometry, halo_generator
 from warmlens.stages.products import read_observation
 from warmlens.stages.samples import SampleTable
 from warmlens.stages.settings import DeflectionsSettings
+from warmlens.stages.time_limit import SAMPLE_SECONDS
 
 log = logging.getLogger(__name__)
 
 
-def run(settings: DeflectionsSettings, halos: Path, observation: Path, output: Path) -> None:
+def run(
+    settings: DeflectionsSettings,
+    halos: Path,
+    observation: Path,
+    output: Path,
+    sample_seconds: float = SAMPLE_SECONDS,
+) -> None:
     """Write Delta alpha of each sample, its rms and maximum, and the subhaloes that made it."""
     grid = read_observation(observation).grid
     block = settings.deflections
@@ -60,7 +67,7 @@ def run(settings: DeflectionsSettings, halos: Path, observation: Path, output: P
             delta_alpha[row] = field
             statistics[row] = np.sqrt(np.mean(size**2)), size.max()
 
-        table.for_each(deflect, "deflections")
+        table.for_each(deflect, "deflections", sample_seconds)
     sample = ("sample",)
     totals = np.array([mass[start:stop].sum() for start, stop in pairwise(offsets)])
     datasets = {
@@ -85,8 +92,8 @@ def smooth_host(generator: HaloGenerator, log10_m_halo_msun: float, f_sub: float
 
 def read_subhalos(halos: Artifact, row: int) -> Subhalos:
     """Subhaloes in the field of one sample."""
-    start, stop = halos["subhalos/offsets"][row : row + 2]
-    return Subhalos(**{name: halos[f"subhalos/{name}"][start:stop] for name in COLUMNS})
+    start, stop = halos.array("subhalos/offsets", slice(row, row + 2))
+    return Subhalos(**{name: halos.array(f"subhalos/{name}", slice(start, stop)) for name in COLUMNS})
 
 
 def check_field(half_width_arcsec: float, grid: PixelGrid, filter_arcsec: float) -> None:

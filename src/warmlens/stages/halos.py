@@ -23,6 +23,7 @@ from warmlens.halos.population import (
 )
 from warmlens.stages.samples import SampleTable
 from warmlens.stages.settings import GridNodes, HalosSettings
+from warmlens.stages.time_limit import SAMPLE_SECONDS
 
 # unit and description of each subhalo column
 COLUMNS = {
@@ -44,6 +45,14 @@ _COUNTS = {
     "n_stripped_below": "of these, stripped below the lowest bound mass",
     "n_surviving": "of these, left in the whole halo",
     "tree_steps": "steps of the trunk",
+}
+_NUMBERS = {
+    "f_sub": "mass fraction of all surviving subhaloes",
+    "z_half": "redshift of half the final mass",
+}
+_FUNCTIONS = {
+    "cumulative_mass_function": (MASS_BINS, "dex(Msun)"),
+    "cumulative_vmax_function": (VMAX_BINS, "km / s"),
 }
 _PRESETS = {"paper": ("paper", "nfw_host"), "calibrated": ("jvdb16", "nfw_infall")}
 
@@ -75,7 +84,7 @@ def parameters_of(settings: HalosSettings, span: Span) -> Parameters:
     return draw_parameters(settings.seed, span, chosen.m_th_kev, chosen.log10_m_halo_msun)
 
 
-def run(settings: HalosSettings, span: Span, output: Path) -> None:
+def run(settings: HalosSettings, span: Span, output: Path, sample_seconds: float = SAMPLE_SECONDS) -> None:
     """Draw and write the realizations of samples start..stop-1."""
     provenance = Provenance("halos", settings.as_dict(), seed_key=f"{settings.seed}/halos/SAMPLE", span=span)
     table = SampleTable(parameters_of(settings, span))
@@ -85,15 +94,27 @@ def run(settings: HalosSettings, span: Span, output: Path) -> None:
     def draw(row: int) -> None:
         p = table.parameters
         rng = stream(settings.seed, "halos", int(p.sample_id[row]))
-        realizations[row] = generator.draw(
+        halo = generator.draw(
             float(p.m_th_kev[row]),
             10.0 ** float(p.log10_m_halo_msun[row]),
             settings.halos.field_half_width_arcsec,
             rng,
         )
+        _check_finite(halo)
+        realizations[row] = halo
 
-    table.for_each(draw, "halos")
+    table.for_each(draw, "halos", sample_seconds)
     write_artifact(output, provenance, {**table.datasets(), **_datasets(realizations)}, {})
+
+
+def _check_finite(halo: HaloRealization) -> None:
+    numbers = {
+        **{name: getattr(halo.subhalos, name) for name in COLUMNS},
+        **{name: getattr(halo, name) for name in (*_COUNTS, *_NUMBERS, *_FUNCTIONS)},
+    }
+    for name, values in numbers.items():
+        if not np.isfinite(values).all():
+            raise FloatingPointError(f"{name} of the halo is not finite")
 
 
 def _datasets(realizations: Sequence[HaloRealization | None]) -> dict[str, Dataset]:
@@ -112,17 +133,10 @@ def _datasets(realizations: Sequence[HaloRealization | None]) -> dict[str, Datas
     for name, description in _COUNTS.items():
         counts = np.array([getattr(r, name) if r else 0 for r in realizations], dtype=np.int64)
         datasets[f"halo/{name}"] = Dataset(counts, "", ("sample",), description)
-    numbers = {
-        "f_sub": "mass fraction of all surviving subhaloes",
-        "z_half": "redshift of half the final mass",
-    }
-    for name, description in numbers.items():
+    for name, description in _NUMBERS.items():
         values = np.array([getattr(r, name) if r else np.nan for r in realizations])
         datasets[f"halo/{name}"] = Dataset(values, "", ("sample",), description)
-    for name, bins, unit in (
-        ("cumulative_mass_function", MASS_BINS, "dex(Msun)"),
-        ("cumulative_vmax_function", VMAX_BINS, "km / s"),
-    ):
+    for name, (bins, unit) in _FUNCTIONS.items():
         rows = np.array([getattr(r, name) if r else np.full(len(bins), np.nan) for r in realizations])
         datasets[f"halo/{name}"] = Dataset(rows, "", ("sample", "bin"), "surviving subhaloes above each bin value")
         datasets[f"halo/{name}_bins"] = Dataset(np.asarray(bins), unit, ("bin",), "the bin values")

@@ -18,10 +18,18 @@ from warmlens.lensing.images import DeflectionField, moved_images
 from warmlens.stages.products import SmoothModel, read_observation, read_smooth_model, scan_band
 from warmlens.stages.samples import SampleTable, null
 from warmlens.stages.settings import MocksSettings, NullMocksSettings
+from warmlens.stages.time_limit import SAMPLE_SECONDS
 from warmlens.types import FloatArray
 
 
-def run(settings: MocksSettings, deflections: Path, observation: Path, smooth_model: Path, output: Path) -> None:
+def run(
+    settings: MocksSettings,
+    deflections: Path,
+    observation: Path,
+    smooth_model: Path,
+    output: Path,
+    sample_seconds: float = SAMPLE_SECONDS,
+) -> None:
     """Write the noisy image of each sample and band.
 
     Rays go where smooth lens and substructure send them (Birrer+2017 sec. 3.2, alpha_mock); source, light,
@@ -52,7 +60,7 @@ def run(settings: MocksSettings, deflections: Path, observation: Path, smooth_mo
         positions = np.full((len(table), model.n_quasars, 2), np.nan)
 
         def image(row: int) -> None:
-            delta = artifact["delta_alpha"][row].astype(np.float64)
+            delta = artifact.array("delta_alpha", row).astype(np.float64)
             moved = None
             if solved:
                 moved = moved_images(smooth, DeflectionField(model.deflection + delta, grid), model.quasars)
@@ -61,9 +69,9 @@ def run(settings: MocksSettings, deflections: Path, observation: Path, smooth_mo
             for band, convolution in bands:
                 clean = noise_free_image(model, grid, band, convolution, delta, moved)
                 rng = stream(settings.seed, "mocks", sample, band.name)
-                images[band.name][row] = band.noise.draw(clean, band.sigma, rng)
+                images[band.name][row] = _finite(band.noise.draw(clean, band.sigma, rng), band.name)
 
-        table.for_each(image, "mocks")
+        table.for_each(image, "mocks", sample_seconds)
     datasets = _image_datasets(images)
     if solved:
         datasets["quasar_positions"] = Dataset(
@@ -72,7 +80,13 @@ def run(settings: MocksSettings, deflections: Path, observation: Path, smooth_mo
     write_artifact(output, provenance, {**table.datasets(), **datasets}, {"bands": list(images)})
 
 
-def run_null(settings: NullMocksSettings, observation: Path, smooth_model: Path, output: Path) -> None:
+def run_null(
+    settings: NullMocksSettings,
+    observation: Path,
+    smooth_model: Path,
+    output: Path,
+    sample_seconds: float = SAMPLE_SECONDS,
+) -> None:
     """Write noisy images of the smooth model alone, Delta alpha = 0, as many as the null test asks for."""
     n = settings.null_test.n_mocks
     observed = read_observation(observation)
@@ -85,14 +99,25 @@ def run_null(settings: NullMocksSettings, observation: Path, smooth_model: Path,
         span=(0, n),
     )
     table = SampleTable.without_substructure(n)
-    images = {}
-    nothing = np.zeros((2, *observed.grid.shape))
-    for name in (band.name for band in observed.bands):
-        band, convolution = scan_band(observed, model, name)
-        clean = noise_free_image(model, observed.grid, band, convolution, nothing)
-        drawn = [band.noise.draw(clean, band.sigma, stream(settings.seed, "null", i, name)) for i in range(n)]
-        images[name] = np.array(drawn, dtype=np.float32)
+    grid = observed.grid
+    nothing = np.zeros((2, *grid.shape))
+    bands = [scan_band(observed, model, band.name) for band in observed.bands]
+    clean = {band.name: noise_free_image(model, grid, band, convolution, nothing) for band, convolution in bands}
+    images = {name: np.full((n, *grid.shape), np.nan, dtype=np.float32) for name in clean}
+
+    def image(row: int) -> None:
+        for band, _ in bands:
+            rng = stream(settings.seed, "null", row, band.name)
+            images[band.name][row] = _finite(band.noise.draw(clean[band.name], band.sigma, rng), band.name)
+
+    table.for_each(image, null("mocks"), sample_seconds)
     write_artifact(output, provenance, {**table.datasets(), **_image_datasets(images)}, {"bands": list(images)})
+
+
+def _finite(image: FloatArray, band: str) -> FloatArray:
+    if not np.isfinite(image).all():
+        raise FloatingPointError(f"the image in {band} is not finite")
+    return image
 
 
 def _image_datasets(images: Mapping[str, NDArray[np.float32]]) -> dict[str, Dataset]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 import traceback
 from collections.abc import Callable
@@ -12,6 +13,7 @@ import numpy as np
 
 from warmlens.artifacts import Artifact, ArtifactError, Dataset
 from warmlens.campaign import Parameters
+from warmlens.stages.time_limit import time_limit
 from warmlens.types import BoolArray
 
 log = logging.getLogger(__name__)
@@ -93,18 +95,22 @@ class SampleTable:
         nothing = np.full(n, np.nan)
         return cls(Parameters(np.arange(n), nothing, nothing))
 
-    def for_each(self, work: Callable[[int], None], label: str) -> None:
+    def for_each(self, work: Callable[[int], None], label: str, sample_seconds: float = math.inf) -> None:
         """Call `work(row)` for every row that has not failed; record a failure and go on.
 
-        Errors of the machine (OSError, MemoryError) are not the sample's and end the job, as does a chunk
-        of which nothing is left.
+        A sample that takes longer than `sample_seconds` has failed; it is not tried again, for it would take as
+        long. Errors of the machine (OSError, MemoryError) and damaged inputs are not the sample's and end the
+        job, as does a chunk of which nothing is left.
         """
         rows = np.flatnonzero(self.done)
         start = last = time.monotonic()
         for count, row in enumerate(rows, start=1):
+            if math.isfinite(sample_seconds):  # what hangs in a kernel can say nothing later
+                log.info("%s: sample %d", label, self.parameters.sample_id[row])
             try:
-                work(int(row))
-            except (OSError, MemoryError):
+                with time_limit(sample_seconds):
+                    work(int(row))
+            except (OSError, MemoryError, ArtifactError):
                 raise
             except Exception as error:
                 self.status[row] = FAILED_HERE

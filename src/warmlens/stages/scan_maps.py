@@ -49,4 +49,4 @@ def raster_grid(artifact: Artifact) -> PixelGrid:
 
 
 def _read(artifact: Artifact, name: str, row: int | None) -> FloatArray:
-    return artifact.array(name) if row is None else np.asarray(artifact[name][row])
+    return artifact.array(name, ... if row is None else row)

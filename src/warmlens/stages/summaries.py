@@ -34,6 +34,8 @@ def run(settings: SummariesSettings, scans: Path, output: Path) -> None:
         def summarise(row: int) -> None:
             of_row = {band: {name: data[row] for name, data in maps.items()} for band, maps in found.items()}
             for name, values in summary.of_scan(of_row).items():
+                if not np.isfinite(values).all():
+                    raise FloatingPointError(f"the summary {name} is not finite")
                 rows[name][row] = values
 
         for name, size in summary.sizes(found).items():
