@@ -100,9 +100,13 @@ def flip(path: Path, place: int) -> None:
     rewrite(path, bytes(content))
 
 
-def flip_largest(path: Path) -> None:
-    """Flip a bit in the largest array."""
-    flip(path, data_place(path))
+def flip_arrays(path: Path) -> None:
+    """Flip a bit in the middle of the first stored piece of every array."""
+    with open_artifact(path) as artifact:
+        arrays = [artifact.file[name] for name in artifact.names]
+        pieces = [array.id.get_chunk_info(0) for array in arrays if array.chunks and array.size]
+    for piece in pieces:
+        flip(path, int(piece.byte_offset + piece.size // 2))
 
 
 def flip_metadata(path: Path) -> None:
@@ -120,16 +124,6 @@ def truncate(path: Path) -> None:
     """Cut a file in half."""
     content = path.read_bytes()
     rewrite(path, content[: len(content) // 2])
-
-
-def data_place(path: Path) -> int:
-    """A byte in the middle of the first stored piece of the largest array of an artifact."""
-    with open_artifact(path) as artifact:
-        arrays = [artifact.file[name].id for name in artifact.names]
-        stored = [node for node in arrays if node.get_num_chunks()] if arrays else []
-        largest = max(stored, key=lambda node: node.get_storage_size())
-        piece = largest.get_chunk_info(0)
-        return int(piece.byte_offset + piece.size // 2)
 
 
 def rewrite(path: Path, content: bytes) -> None:

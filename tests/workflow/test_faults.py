@@ -20,7 +20,7 @@ from warmlens.status import read_campaign
 
 from ..reliability import Outcome, fault
 from .conftest import BIN, Project
-from .damage import artifact_of, flip_largest, swap, truncate, with_settings
+from .damage import artifact_of, flip_arrays, swap, truncate, with_settings
 
 ABC = "results/tiny/abc.h5"
 CopyOf = Callable[[], Project]
@@ -187,7 +187,7 @@ def run_and_delete_what_is_named(project: Project, attempts: int) -> int:
 @fault(
     "Artifacts", "an artifact of every stage is damaged, its time too", "a bit flipped, or cut short, then touched"
 )
-@pytest.mark.parametrize("damage", [flip_largest, truncate])
+@pytest.mark.parametrize("damage", [flip_arrays, truncate])
 def test_what_it_says_helps(
     copy_of: CopyOf, finished: Project, outcome: Outcome, damage: Callable[[Path], None]
 ) -> None:
@@ -209,7 +209,7 @@ def test_what_audit_finds(copy_of: CopyOf, finished: Project, outcome: Outcome) 
     config = read_campaign(project.results)
     damaged = [artifact_of(config, stage) for stage in STAGES]
     for path in damaged:
-        flip_largest(project.folder / path)
+        flip_arrays(project.folder / path)
     project.snakemake()  # sees nothing, and makes nothing of them
     audit = project.warmlens("audit", "results/tiny")
     assert audit.returncode == 1
