@@ -1,4 +1,5 @@
 # make demo   set up, and run the demonstration campaign to posterior, bound and figures
+# make paper  set up, and run the campaign of docs/results.md: 2,483 samples on a cold simulated observation
 # make report set up, and write RESULTS/report.html of a finished campaign (RESULTS=results/demo unless given)
 # make docs   set up, and write docs/configuration.md anew
 # make test   set up, and check style, types and behaviour
@@ -12,13 +13,16 @@ BIN := .venv/bin
 READY := .venv/.ready
 SNAKEMAKE := $(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/local
 
-.PHONY: demo campaign hst report docs test test-slurm reliability lint format lock clean
+.PHONY: demo campaign paper hst report docs test pytest test-slurm reliability lint format lock clean
 
 demo: $(READY)
 	$(SNAKEMAKE) --configfile workflow/configs/demo.yaml
 
 campaign: $(READY)
 	$(SNAKEMAKE)
+
+paper: $(READY)
+	$(BIN)/warmlens run --configfile workflow/configs/paper.yaml --cores $(CORES)
 
 hst: $(READY)
 	$(SNAKEMAKE) --configfile workflow/configs/hst.yaml
@@ -29,12 +33,13 @@ report: $(READY)
 docs: $(READY)
 	$(BIN)/warmlens config-reference --output docs/configuration.md
 
-test: lint
-	$(BIN)/pytest --numprocesses logical --maxprocesses 4 --no-loadscope-reorder --durations=15
+test: lint pytest
+
+pytest: $(READY)
+	$(BIN)/pytest --numprocesses logical --maxprocesses 5 --no-loadscope-reorder --durations=25
 
 test-slurm: $(READY)
-	$(BIN)/python -m pip install --quiet --no-build-isolation --editable '.[slurm]'
-	WARMLENS_TEST_SLURM=1 $(BIN)/pytest --durations=0 tests/slurm
+	WARMLENS_TEST_SLURM=all $(BIN)/pytest --durations=0 tests/slurm
 
 reliability: $(READY)
 	WARMLENS_TEST_FAULTS=1 $(BIN)/pytest -m fault --durations=0
@@ -57,7 +62,7 @@ $(READY): requirements.lock pyproject.toml
 # after a change of the dependencies in pyproject.toml: resolve anew, then run the tests and commit
 lock:
 	rm -rf .venv-lock && $(PYTHON) -m venv .venv-lock
-	.venv-lock/bin/python -m pip install --editable '.[dev]'
+	.venv-lock/bin/python -m pip install --editable '.[dev,slurm]'
 	.venv-lock/bin/python -m pip freeze --all --exclude-editable --exclude pip > requirements.lock
 	rm -rf .venv-lock
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +24,14 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Recorder())
 
 
-_FIRST = ("scan/test_stages.py", "halos/test_population.py", "workflow/")
+_FIRST = ("slurm/", "workflow/")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """First what compiles the kernels, each once, then the workflow, whose jobs would each compile them again."""
+    """Campaigns first: they take longest, and the first one compiles the kernels that all others load.
+
+    Of these Slurm is first, which waits most of the time.
+    """
 
     def place(item: pytest.Item) -> int:
         path = item.path.relative_to(ROOT / "tests").as_posix()
@@ -37,15 +41,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """One process more than cores: the one with Slurm waits most of the time."""
+    return len(os.sched_getaffinity(0)) + 1
+
+
+@pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """With several processes a file stays in one of them, and so do all tests that share the finished campaign."""
+    """With several processes a file stays in one of them, but for campaigns, each of which is long."""
     from xdist.scheduler import LoadScopeScheduling
 
     class ByFixtures(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             path = nodeid.partition("::")[0]
-            alone = "workflow" not in path or path.endswith("test_hst.py")
-            return path if alone else "workflow"
+            share_a_browser = path.endswith("test_report.py")
+            return nodeid if "workflow/" in path and not share_a_browser else path
 
     return ByFixtures(config, log)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -47,6 +48,17 @@ def test_snakemake_is_called_with_profile_and_overlays(campaign: Path, called: l
     assert called[0][6:] == ["--configfile", "a.yaml", "b.yaml"]
 
 
+def test_another_profile_says_how_many_cores_unless_they_are_given(
+    campaign: Path, called: list[list[str]]
+) -> None:
+    front_end.resume(campaign, 0, ["--workflow-profile", "mine"])
+    assert "--cores" not in called[0] and called[0][2:4] == ["--workflow-profile", "mine"]
+    front_end.resume(campaign, 5, ["--workflow-profile", "mine"])
+    assert called[1][:2] == ["--cores", "5"]
+    front_end.resume(campaign, 0, [])
+    assert called[2][:2] == ["--cores", str(front_end.default_cores())]
+
+
 def test_resume_takes_the_configuration_of_the_last_run(campaign: Path, called: list[list[str]]) -> None:
     front_end.resume(campaign, 2, [])
     assert called[0][-2:] == ["--configfile", "results/here/config.json"]
@@ -86,18 +98,56 @@ def test_lock_of_unknown_owner_is_not_lifted(campaign: Path, called: list[list[s
     assert not called and Path(".snakemake/locks/0.output.lock").exists()
 
 
+def _watching(child: str, patience: float = 15.0) -> str:
+    """A program that watches a child as `warmlens run` watches Snakemake; its exit code is the child's."""
+    return (
+        "import sys; from pathlib import Path; from warmlens import front_end; "
+        f"front_end._REPORT_SECONDS = {patience}; "
+        f"sys.exit(front_end._watch([sys.executable, '-c', {child!r}], Path('results/here'), 1))"
+    )
+
+
 def test_sigterm_is_handed_on_and_the_exit_code_comes_back(tmp_path: Path) -> None:
     child = (
         "import signal, sys, time; signal.signal(15, lambda *_: sys.exit(5)); "
         "print('up', flush=True); time.sleep(60)"
     )
-    code = (
-        "import sys; from pathlib import Path; from warmlens.front_end import _watch; "
-        f"sys.exit(_watch([sys.executable, '-c', {child!r}], Path('none'), 1))"
-    )
     with subprocess.Popen(
-        [sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=tmp_path
+        [sys.executable, "-c", _watching(child)], stdout=subprocess.PIPE, text=True, cwd=tmp_path
     ) as process:
         assert process.stdout is not None and process.stdout.readline() == "up\n"
         process.send_signal(signal.SIGTERM)
         assert process.wait(timeout=30) == 5
+        assert "stopping: no more jobs are started" in process.stdout.read()
+
+
+def test_interrupt_is_waited_for_and_says_how_to_go_on(tmp_path: Path) -> None:
+    """Ctrl-C goes to the whole group of processes: Snakemake ends its jobs, and the front end outlives it."""
+    child = (
+        "import signal, sys, time; signal.signal(2, lambda *_: (time.sleep(1), sys.exit(6))); "
+        "print('up', flush=True); time.sleep(60)"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", _watching(child)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        start_new_session=True,
+    ) as process:
+        assert process.stdout is not None and process.stdout.readline() == "up\n"
+        os.killpg(process.pid, signal.SIGINT)
+        assert process.wait(timeout=30) == 6
+        assert "`warmlens resume results/here` goes on" in process.stdout.read()
+
+
+def test_progress_is_told_when_it_changes_and_a_damaged_artifact_ends_nothing(campaign: Path) -> None:
+    (campaign / "observation.h5").write_bytes(b"no HDF5")
+    done = subprocess.run(
+        [sys.executable, "-c", _watching("import time, sys; time.sleep(4); sys.exit(3)", patience=0.1)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 3, done.stderr
+    said = done.stdout.splitlines()
+    assert len(said) == 1 and "cannot be told: results/here/observation.h5: not a readable HDF5 file" in said[0]

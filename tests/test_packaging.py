@@ -30,7 +30,8 @@ def test_lock_holds_exact_pins_and_no_addresses() -> None:
 
 
 def test_lock_covers_all_dependencies() -> None:
-    wanted = {_name(item) for item in PROJECT["dependencies"] + PROJECT["optional-dependencies"]["dev"]}
+    extras = PROJECT["optional-dependencies"]
+    wanted = {_name(item) for item in PROJECT["dependencies"] + extras["dev"] + extras["slurm"]}
     assert wanted <= set(_locked())
 
 

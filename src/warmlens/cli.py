@@ -41,7 +41,7 @@ def run(context: typer.Context, configfile: ConfigFiles = None, cores: Cores = 0
     from warmlens import front_end
 
     results = Path(_load(configfile).results)
-    raise typer.Exit(front_end.run(configfile or [], results, cores or front_end.default_cores(), context.args))
+    raise typer.Exit(front_end.run(configfile or [], results, cores, context.args))
 
 
 @app.command(context_settings=_PASSED_ON)
@@ -49,7 +49,7 @@ def resume(context: typer.Context, results: Results, cores: Cores = 0) -> None:
     """Go on with a campaign as it was last started, also after a kill; what follows `--` goes to Snakemake."""
     from warmlens import front_end
 
-    raise typer.Exit(front_end.resume(results, cores or front_end.default_cores(), context.args))
+    raise typer.Exit(front_end.resume(results, cores, context.args))
 
 
 @app.command(context_settings=_PASSED_ON)
@@ -62,7 +62,7 @@ def extend(
     """Raise the number of samples of a campaign; nothing that is finished is computed again."""
     from warmlens import front_end
 
-    raise typer.Exit(front_end.extend(results, n_samples, cores or front_end.default_cores(), context.args))
+    raise typer.Exit(front_end.extend(results, n_samples, cores, context.args))
 
 
 @app.command()

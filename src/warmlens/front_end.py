@@ -7,14 +7,14 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
 from warmlens import runs
 from warmlens.artifacts import ArtifactError, atomic_path
-from warmlens.config_file import parse_config
+from warmlens.config_file import ConfigError, parse_config
 from warmlens.layout import CONFIG
 from warmlens.snakemake_command import SNAKEMAKE, arguments, recorded_results
 from warmlens.status import campaign_status, progress_line, read_campaign
@@ -33,7 +33,7 @@ def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str
     results
         Results folder that they name, for the progress.
     cores
-        Jobs at a time.
+        Jobs at a time; 0: all cores of this machine, or what a profile among `extra` says.
     extra
         Passed to Snakemake as they are: targets and flags.
 
@@ -48,7 +48,9 @@ def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str
     if not (folder / "Snakefile").is_file():
         raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
     lift_abandoned_lock(folder, overlays)
-    return _watch([SNAKEMAKE, *arguments(cores, overlays, extra)], results, cores)
+    own_profile = any(word.startswith("--workflow-profile") for word in extra)
+    size = None if own_profile and not cores else cores or default_cores()
+    return _watch([SNAKEMAKE, *arguments(size, overlays, extra)], results, cores or default_cores())
 
 
 def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:
@@ -113,25 +115,48 @@ def _read_own(results: Path) -> dict[str, Any]:
 
 def _watch(command: Sequence[str], results: Path, cores: int) -> int:
     """Run a command, say every now and then how far the campaign is, and hand signals on."""
-    process = subprocess.Popen(command)
 
     def stop(number: int, _: FrameType | None) -> None:
         process.send_signal(number)
+        say("no more jobs are started, those that run are finished first")
 
-    before = {number: signal.signal(number, stop) for number in (signal.SIGTERM, signal.SIGHUP)}
-    # Ctrl-C reaches Snakemake from the terminal, which then waits for its jobs: so does this.
-    before[signal.SIGINT] = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        last = time.monotonic()
-        while process.poll() is None:
-            time.sleep(_POLL_SECONDS)
-            if time.monotonic() - last > _REPORT_SECONDS and (results / CONFIG).is_file():
-                print(progress_line(campaign_status(read_campaign(results)), cores), flush=True)
-                last = time.monotonic()
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    def interrupted(*_: object) -> None:
+        say("the jobs that run are stopped, finished artifacts are kept")
+
+    def say(what_happens: str) -> None:
+        print(f"stopping: {what_happens}; `warmlens resume {results}` goes on from there", flush=True)
+
+    with subprocess.Popen(command) as process:  # whatever happens here, Snakemake is waited for
+        handlers: dict[int, Callable[..., None]] = {signal.SIGTERM: stop, signal.SIGHUP: stop}
+        # Ctrl-C reaches Snakemake and its jobs from the terminal; Snakemake waits for their end, and so does this.
+        handlers[signal.SIGINT] = interrupted
+        before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+        try:
+            _tell_progress(process, results, cores)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
     return process.returncode
+
+
+def _tell_progress(process: subprocess.Popen[bytes], results: Path, cores: int) -> None:
+    """Until a process ends, print how far the campaign is whenever that has changed."""
+    said, last = "", time.monotonic()
+    while process.poll() is None:
+        time.sleep(_POLL_SECONDS)
+        if time.monotonic() - last > _REPORT_SECONDS and (results / CONFIG).is_file():
+            line = _progress(results, cores)
+            if line != said:
+                print(line, flush=True)
+            said, last = line, time.monotonic()
+
+
+def _progress(results: Path, cores: int) -> str:
+    """How far the campaign is; an artifact that cannot be read is said, and ends nothing."""
+    try:
+        return progress_line(campaign_status(read_campaign(results)), cores)
+    except (ArtifactError, ConfigError) as error:
+        return f"how far the campaign is cannot be told: {error}"
 
 
 def default_cores() -> int:

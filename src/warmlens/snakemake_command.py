@@ -14,19 +14,20 @@ PROFILE = "workflow/profiles/local"
 SNAKEMAKE = str(Path(sys.executable).parent / "snakemake")
 
 
-def arguments(cores: int | str, overlays: Sequence[Path], extra: Sequence[str] = ()) -> list[str]:
+def arguments(cores: int | str | None, overlays: Sequence[Path], extra: Sequence[str] = ()) -> list[str]:
     """Arguments of Snakemake for config.yaml and overlays.
 
     Parameters
     ----------
     cores
-        Jobs at a time, or "all".
+        Jobs at a time, or "all"; None if a profile among `extra` says it.
     overlays
         Configuration files, later ones win.
     extra
         Targets and flags as they are; a profile among them wins.
     """
-    words = ["--cores", str(cores), "--workflow-profile", PROFILE, *extra]
+    size = [] if cores is None else ["--cores", str(cores)]
+    words = [*size, "--workflow-profile", PROFILE, *extra]
     return [*words, "--configfile", *map(str, overlays)] if overlays else words
 
 

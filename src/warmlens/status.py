@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +16,9 @@ from warmlens.config_file import read_stored
 from warmlens.layout import CHUNKED, CONFIG, NULL, stage_files
 from warmlens.report.text import duration
 from warmlens.stages.settings import campaign_stages
+
+_SAMPLED = (*CHUNKED, *NULL)
+_MAX_NAMED = 3  # stages that a line of progress names
 
 
 @dataclass(frozen=True)
@@ -54,26 +58,43 @@ def campaign_status(config: Config) -> list[StageStatus]:
         files = stage_files(config, stage)
         if not files:  # a null test that is switched off
             continue
-        done = [path for path in files if path.exists()]
-        seconds, samples, failed = [], 0, 0
-        for path in done:
-            with open_artifact(path, stage) as artifact:
-                seconds.append(artifact.wall_seconds)
-                if stage in (*CHUNKED, *NULL):
-                    bad = artifact.array("samples/status") != 0
-                    samples += int((~bad).sum())
-                    failed += int(bad.sum())
+        done = [_read(path, stage, written) for path in files if (written := _written(path)) is not None]
         found.append(
             StageStatus(
                 stage,
                 len(done),
                 len(files),
-                samples if stage in (*CHUNKED, *NULL) else None,
-                failed,
-                float(np.mean(seconds)) if seconds else None,
+                sum(item.n_good for item in done) if stage in _SAMPLED else None,
+                sum(item.n_failed for item in done),
+                float(np.mean([item.seconds for item in done])) if done else None,
             )
         )
     return found
+
+
+@dataclass(frozen=True)
+class _Done:
+    seconds: float
+    n_good: int
+    n_failed: int
+
+
+def _written(path: Path) -> int | None:
+    """When a file was written [ns], None if it is not there: Snakemake removes what it is about to make anew."""
+    try:
+        return path.stat().st_mtime_ns
+    except FileNotFoundError:
+        return None
+
+
+@functools.cache
+def _read(path: Path, stage: str, _written_ns: int) -> _Done:
+    """What is counted of an artifact, which is opened once: it is never changed, only replaced by a newer one."""
+    with open_artifact(path, stage) as artifact:
+        if stage not in _SAMPLED:
+            return _Done(artifact.wall_seconds, 0, 0)
+        failed = artifact.array("samples/status") != 0
+        return _Done(artifact.wall_seconds, int((~failed).sum()), int(failed.sum()))
 
 
 def progress_line(stages: list[StageStatus], cores: int) -> str:
@@ -81,7 +102,8 @@ def progress_line(stages: list[StageStatus], cores: int) -> str:
     begun = [row for row in stages if 0 < row.n_done < row.n_files]
     parts = [f"{row.stage} {row.n_done} of {row.n_files}" for row in begun]
     done, total = sum(row.n_done for row in stages), sum(row.n_files for row in stages)
-    return "; ".join([f"{done} of {total} artifacts", *parts, _time_left(stages, cores)])
+    left = "figures and the report are left" if done == total else _time_left(stages, cores)
+    return "; ".join([f"{done} of {total} artifacts", *parts, left])
 
 
 def print_status(stages: list[StageStatus], cores: int) -> None:
@@ -103,7 +125,10 @@ def print_status(stages: list[StageStatus], cores: int) -> None:
 
 
 def _time_left(stages: list[StageStatus], cores: int) -> str:
-    known = sum(row.seconds_left or 0.0 for row in stages)
+    known = sum(row.seconds_left or 0.0 for row in stages) / cores
     unknown = [row.stage for row in stages if row.seconds_left is None]
-    left = f"{duration(known / cores)} left on {cores} cores"
-    return f"more than {left} ({', '.join(unknown)} not yet timed)" if unknown else f"about {left}"
+    if not unknown:
+        return f"about {duration(known)} left on {cores} cores"
+    named = ", ".join(unknown) if len(unknown) <= _MAX_NAMED else f"{len(unknown)} stages"
+    left = f"more than {duration(known)} left on {cores} cores" if known else "time left not known yet"
+    return f"{left} ({named} not yet timed)"

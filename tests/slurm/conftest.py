@@ -1,6 +1,7 @@
 """A real Slurm of one node on loopback, for the tests in this folder: Debian's packages, no systemd, own files.
 
-The tests are asked for with `make test-slurm`; they need root on a Debian-like system without a Slurm of its own.
+They need root on a Debian-like system without a Slurm of its own, and are asked for with WARMLENS_TEST_SLURM:
+"profiles" (.ci/run) runs the campaign both ways, "all" (`make test-slurm`) also kills it.
 """
 
 from __future__ import annotations
@@ -23,8 +24,9 @@ import pytest
 
 from warmlens.layout import CHUNKED
 
-from ..workflow.conftest import Project, make_project
+from ..workflow.conftest import Project, finished_campaign, make_project
 
+ASKED_FOR = os.environ.get("WARMLENS_TEST_SLURM", "")
 BIN = Path(sys.executable).parent
 PACKAGES = ("slurm-wlm", "slurm-wlm-basic-plugins", "munge")
 # The executor plugin drops SLURM_CONF before its `srun`, which then looks here.
@@ -275,8 +277,8 @@ def _is_left_over() -> bool:
 
 
 def _install() -> None:
-    if os.environ.get("WARMLENS_TEST_SLURM") != "1":
-        pytest.skip("starts a real Slurm; run `make test-slurm`")
+    if ASKED_FOR not in ("profiles", "all"):
+        pytest.skip("starts a real Slurm; run `make test-slurm` as root")
     pytest.importorskip("snakemake_executor_plugin_slurm", reason="needs pip install 'warmlens[slurm]'")
     if os.geteuid() != 0:
         pytest.skip("Slurm's daemons need root")
@@ -316,9 +318,7 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
 @pytest.fixture(scope="session")
 def local(cluster: Cluster, tmp_path_factory: pytest.TempPathFactory) -> Project:
     """The campaign run on this machine, without Slurm; read it, do not change it."""
-    project = make_project(tmp_path_factory.mktemp("local"))
-    project.snakemake(TARGET)
-    return project
+    return finished_campaign(tmp_path_factory)
 
 
 @pytest.fixture

@@ -5,11 +5,16 @@ from __future__ import annotations
 import os
 import signal
 
+import pytest
+
 from warmlens.layout import CHUNKED
 
 from ..workflow.conftest import Project
-from .conftest import Campaign
+from .conftest import ASKED_FOR, Campaign
 
+pytestmark = pytest.mark.skipif(
+    ASKED_FOR != "all", reason="kills a real Slurm's jobs; run `make test-slurm` as root"
+)
 N_CHUNK_FILES = 2 * len(CHUNKED)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import subprocess
 import time
@@ -15,7 +16,7 @@ import pytest
 
 from warmlens.artifacts import open_artifact
 from warmlens.figures.inputs import NEEDED
-from warmlens.layout import FIGURES
+from warmlens.layout import CHUNKED, FIGURES
 
 from ..reliability import Outcome, fault
 from .conftest import BIN, N_CHUNKED_STAGES, Project
@@ -93,8 +94,11 @@ def test_killed_campaign_resumes_on_one_core_to_the_same_digests(
     assert again.returncode == 0 and "Nothing to be done" in again.stdout + again.stderr
 
 
-def test_chunk_size_changes_no_number(finished: Project, project: Project) -> None:
-    project.configure({"campaign": {"chunk_size": 50}})
+def test_chunk_size_changes_no_number(finished: Project, copy_of: Callable[[], Project]) -> None:
+    project = copy_of()
+    for stage in CHUNKED:
+        shutil.rmtree(project.results / stage)
+    project.configure({"campaign": {"chunk_size": 20}})
     project.snakemake(ABC, cores=2)
 
     def rows(root: Path, stage: str, name: str) -> np.ndarray:
