@@ -39,7 +39,7 @@ pytest: $(READY)
 	$(BIN)/pytest --numprocesses logical --maxprocesses 5 --no-loadscope-reorder --durations=25
 
 test-slurm: $(READY)
-	WARMLENS_TEST_SLURM=all $(BIN)/pytest --durations=0 tests/slurm
+	WARMLENS_TEST_SLURM=1 WARMLENS_TEST_FAULTS=1 $(BIN)/pytest --durations=0 tests/slurm
 
 reliability: $(READY)
 	WARMLENS_TEST_FAULTS=1 $(BIN)/pytest -m fault --durations=0

@@ -5,16 +5,12 @@ from __future__ import annotations
 import os
 import signal
 
-import pytest
-
 from warmlens.layout import CHUNKED
 
+from ..reliability import Outcome, fault
 from ..workflow.conftest import Project
-from .conftest import ASKED_FOR, Campaign
+from .conftest import Campaign
 
-pytestmark = pytest.mark.skipif(
-    ASKED_FOR != "all", reason="kills a real Slurm's jobs; run `make test-slurm` as root"
-)
 N_CHUNK_FILES = 2 * len(CHUNKED)
 
 
@@ -22,7 +18,8 @@ def _is_unfinished(campaign: Campaign) -> bool:
     return 0 < len(list(campaign.project.results.rglob("chunk-*.h5"))) < N_CHUNK_FILES
 
 
-def test_killed_allocation_is_submitted_again(local: Project, half_done: Campaign) -> None:
+@fault("Slurm", "an allocation is killed outright", "SIGKILL to all its processes, a scan at work")
+def test_killed_allocation_is_submitted_again(local: Project, half_done: Campaign, outcome: Outcome) -> None:
     job = half_done.submit()
     half_done.worker("scans")
     for process in half_done.cluster.processes(job):  # Snakemake, what it runs and the script, without warning
@@ -30,10 +27,13 @@ def test_killed_allocation_is_submitted_again(local: Project, half_done: Campaig
     assert half_done.cluster.end_of(job) == "FAILED"
     assert _is_unfinished(half_done)
     assert "the last job was killed; its lock is removed" in half_done.run_in_one_allocation()
-    assert half_done.project.digests() == local.digests()
+    outcome.same_digests(
+        half_done.project.digests(), local.digests(), lost="the job in flight", after="the script submitted again"
+    )
 
 
-def test_allocation_is_told_before_the_wall_time(local: Project, half_done: Campaign) -> None:
+@fault("Slurm", "the wall time is near", "SIGTERM to the batch script, as Slurm sends it")
+def test_allocation_is_told_before_the_wall_time(local: Project, half_done: Campaign, outcome: Outcome) -> None:
     job, following = half_done.submit(), half_done.submit()
     half_done.worker("deflections")
     cluster = half_done.cluster
@@ -44,10 +44,11 @@ def test_allocation_is_told_before_the_wall_time(local: Project, half_done: Camp
     assert _is_unfinished(half_done)
     assert cluster.end_of(following) == "COMPLETED", half_done.log(following)
     assert "lock" not in half_done.log(following)
-    assert half_done.project.digests() == local.digests()
+    outcome.same_digests(half_done.project.digests(), local.digests(), after="the next submission went on")
 
 
-def test_hanging_allocation_ends_at_the_wall_time(local: Project, half_done: Campaign) -> None:
+@fault("Slurm", "a job hangs until the wall time", "SIGSTOP to a scan, time limit of a minute")
+def test_hanging_allocation_ends_at_the_wall_time(local: Project, half_done: Campaign, outcome: Outcome) -> None:
     job = half_done.submit("--signal=B:TERM@20")
     half_done.worker("scans").send_signal(signal.SIGSTOP)
     half_done.cluster.command("scontrol", "update", f"JobId={job}", "TimeLimit=1")
@@ -56,10 +57,13 @@ def test_hanging_allocation_ends_at_the_wall_time(local: Project, half_done: Cam
     assert "finished artifacts are kept: submit it again" in half_done.log(job)
     assert _is_unfinished(half_done)
     half_done.run_in_one_allocation()
-    assert half_done.project.digests() == local.digests()
+    outcome.same_digests(
+        half_done.project.digests(), local.digests(), lost="the job in flight", after="the script submitted again"
+    )
 
 
-def test_killed_submitter_leaves_jobs_to_cancel(local: Project, half_done: Campaign) -> None:
+@fault("Slurm", "the Snakemake that submits is killed", "SIGKILL, Slurm's jobs at work")
+def test_killed_submitter_leaves_jobs_to_cancel(local: Project, half_done: Campaign, outcome: Outcome) -> None:
     process = half_done.start_with_executor()
     half_done.worker("mocks")
     os.killpg(process.pid, signal.SIGKILL)
@@ -71,10 +75,16 @@ def test_killed_submitter_leaves_jobs_to_cancel(local: Project, half_done: Campa
     cluster.wait_for(lambda: not cluster.queue(), "the cancelled jobs to end")
     half_done.run_with_executor("--unlock")
     half_done.run_with_executor()
-    assert half_done.project.digests() == local.digests()
+    outcome.same_digests(
+        half_done.project.digests(),
+        local.digests(),
+        lost="the jobs in flight",
+        after="scancel, --unlock, started again",
+    )
 
 
-def test_job_at_its_wall_time_is_tried_again(local: Project, half_done: Campaign) -> None:
+@fault("Slurm", "a Slurm job reaches its wall time", "SIGSTOP to a scan, time limit of a minute, profile slurm")
+def test_job_at_its_wall_time_is_tried_again(local: Project, half_done: Campaign, outcome: Outcome) -> None:
     process = half_done.start_with_executor()
     worker = half_done.worker("scans")
     worker.send_signal(signal.SIGSTOP)
@@ -83,4 +93,4 @@ def test_job_at_its_wall_time_is_tried_again(local: Project, half_done: Campaign
     assert half_done.cluster.end_of(job) == "TIMEOUT"
     assert process.wait() == 0
     assert "DUE TO TIME LIMIT" in (half_done.project.folder / "executor.log").read_text()
-    assert half_done.project.digests() == local.digests()
+    outcome.same_digests(half_done.project.digests(), local.digests(), lost="the job in flight")
