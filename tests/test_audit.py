@@ -99,8 +99,7 @@ def test_a_damaged_input_is_no_damage_of_what_was_made_from_it(chain: dict[Path,
 
 def test_several_chains_are_all_checked(chain: dict[Path, str], tmp_path: Path) -> None:
     check_chains([tmp_path / "halos.h5", tmp_path / "mocks.h5"], EXPECTED)
-    with h5py.File(tmp_path / "halos.h5", "r+") as file:
-        file.attrs["digest"] = "0" * 64
+    _write(tmp_path, "halos", 1.5)
     check_chains([tmp_path / "halos.h5"], EXPECTED)
     with pytest.raises(ArtifactError, match=r"deflections\.h5: its input halos .* has changed since"):
         check_chains([tmp_path / "halos.h5", tmp_path / "mocks.h5"], EXPECTED)

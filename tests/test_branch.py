@@ -82,7 +82,10 @@ def _write(config: Config, stage: str, number: int, content: float) -> None:
         noise = {band: {"background_rms": 1.0, "exposure_s": 1.0} for band in bands}
         grid = dataclasses.asdict(PixelGrid.centred((3, 3), 0.05))
         metadata = {"kind": "simulated", "grid": grid, "bands": bands, "noise": noise}
-    write_artifact(path, Provenance(stage, stage_settings(config, stage).as_dict(), inputs), datasets, metadata)
+    edges = [int(edge) for edge in path.stem.split("-")[1:]]
+    span = (edges[0], edges[1]) if edges else None
+    provenance = Provenance(stage, stage_settings(config, stage).as_dict(), inputs, span=span)
+    write_artifact(path, provenance, datasets, metadata)
 
 
 def _run(config: Config, content: float = 1.0) -> None:

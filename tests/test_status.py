@@ -22,7 +22,8 @@ def config(paper_config: Config, tmp_path: Path) -> Config:
 
 def _write_chunk(path: Path, failed: list[int]) -> None:
     data = Dataset(np.array(failed, dtype=np.uint8), "", ("sample",), "0: good")
-    write_artifact(path, Provenance("halos", {}), {"samples/status": data}, {})
+    start, stop = (int(edge) for edge in path.stem.split("-")[1:])
+    write_artifact(path, Provenance("halos", {}, span=(start, stop)), {"samples/status": data}, {})
 
 
 def _row(config: Config, stage: str) -> StageStatus:

@@ -52,8 +52,11 @@ def test_a_missing_artifact_is_named_with_the_command_that_makes_it(campaign: Co
         registry.write_from_results("posterior", [tmp_path], tmp_path / "posterior.png")
     message = str(caught.value)
     assert message.startswith(f"{tmp_path}/abc.h5: no such artifact")
-    assert f"snakemake --cores 2 --workflow-profile workflow/profiles/local --configfile {tmp_path}/" in message
-    assert message.endswith(f" -- {campaign.results}/abc.h5")  # as the workflow calls it
+    # folders as the workflow calls them
+    assert message.endswith(
+        "make it with: snakemake --cores all --workflow-profile workflow/profiles/local "
+        f"--configfile {campaign.results}/{CONFIG} -- {campaign.results}/abc.h5"
+    )
     assert [path.name for path in tmp_path.iterdir()] == [CONFIG]
 
 
