@@ -7,6 +7,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -151,3 +152,13 @@ def test_progress_is_told_when_it_changes_and_a_damaged_artifact_ends_nothing(ca
     assert done.returncode == 3, done.stderr
     said = done.stdout.splitlines()
     assert len(said) == 1 and "cannot be told: results/here/observation.h5: not a readable HDF5 file" in said[0]
+
+
+def test_times_in_the_future_are_brought_back(campaign: Path, called: list[list[str]]) -> None:
+    future, past = campaign / "halos.h5", campaign / "mocks.h5"
+    for path, seconds in ((future, 86400.0), (past, -86400.0)):
+        path.touch()
+        os.utime(path, (time.time() + seconds,) * 2)
+    before = past.stat().st_mtime
+    front_end.resume(campaign, 2, [])
+    assert called and future.stat().st_mtime <= time.time() and past.stat().st_mtime == before

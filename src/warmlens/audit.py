@@ -137,13 +137,14 @@ def check_chain(path: Path, expected: Mapping[str, str]) -> None:
 def check_chains(paths: Iterable[Path], expected: Mapping[str, str]) -> None:
     """Check several artifacts as `check_chain` does; what they have in common is read once."""
     headers: dict[Path, Header] = {}
-    pending = [path.resolve() for path in paths if path.suffix == ".h5"][::-1]
-    for path in pending:
+    given = [path.resolve() for path in paths if path.suffix == ".h5"]
+    for path in given:
         with open_artifact(path) as artifact, reading(path):
             altered = _check_content(artifact)
         if altered:
             raise ArtifactError(f"{path}: {altered[0].problem}; {_REMEDY}")
     seen: set[Path] = set()
+    pending = given[::-1]
     while pending:
         current = pending.pop()
         if current in seen:

@@ -48,6 +48,7 @@ def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str
     if not (folder / "Snakefile").is_file():
         raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
     lift_abandoned_lock(folder, overlays)
+    bring_back_from_the_future(results)
     own_profile = any(word.startswith("--workflow-profile") for word in extra)
     size = None if own_profile and not cores else cores or default_cores()
     return _watch([SNAKEMAKE, *arguments(size, overlays, extra)], results, cores or default_cores())
@@ -66,6 +67,20 @@ def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:
         print("the last run was killed; its lock is lifted, what it had finished is kept", flush=True)
         subprocess.run([SNAKEMAKE, *arguments(1, overlays), "--unlock", "--quiet"], cwd=folder, check=True)
     runs.forget_gone(folder)
+
+
+def bring_back_from_the_future(results: Path) -> None:
+    """Give files that are newer than now, as after a clock was set back, the time that it is.
+
+    Snakemake takes what is made now from such a file for outdated, and fails. What was made from what is in the
+    artifacts themselves.
+    """
+    now = time.time()
+    future = [path for path in results.rglob("*") if path.is_file() and path.stat().st_mtime > now]
+    for path in future:
+        os.utime(path, (now, now))
+    if future:
+        print(f"{len(future)} files in {results} had times in the future (a clock set back?), now the present one")
 
 
 def resume(results: Path, cores: int, extra: Sequence[str]) -> int:

@@ -27,9 +27,9 @@ CopyOf = Callable[[], Project]
 DELETED = "the files that it names are deleted, as it says"
 
 
-def without(project: Project, *stages: str) -> Project:
-    """The campaign with the second chunk of some stages, and the posterior, still to be made."""
-    for stage in stages:
+def without(project: Project, first: str) -> Project:
+    """The campaign with the second chunk from a stage on, and the posterior, still to be made."""
+    for stage in CHUNKED[CHUNKED.index(first) :]:
         (project.results / stage / "chunk-0000007-0000014.h5").unlink()
     (project.folder / ABC).unlink()
     return project
@@ -85,7 +85,7 @@ def test_killed_job(copy_of: CopyOf, finished: Project, outcome: Outcome) -> Non
 
 @fault("Processes", "Snakemake is told to end, as at a wall time", "SIGTERM to Snakemake")
 def test_terminated_snakemake(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
-    project = without(copy_of(), "mocks", "scans")
+    project = without(copy_of(), "mocks")
     with running(project) as process:
         worker(project, "mocks")
         process.terminate()
@@ -138,9 +138,10 @@ def mounted(folder: Path, *words: str) -> Iterator[None]:
 
 @fault("Disk", "the disk is full while an artifact is written", "a stage writes to a tmpfs of 1 MiB")
 def test_full_disk(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
-    project = without(copy_of(), "mocks", "scans")
-    for kept in (project.results / "scans").glob("*"):
-        kept.unlink()
+    project = without(copy_of(), "mocks")
+    for stage in ("scans", "summaries"):
+        for kept in (project.results / stage).glob("*"):
+            kept.unlink()
     with mounted(project.results / "scans", "-t", "tmpfs", "-o", "size=1m", "tmpfs"):
         done = project.snakemake(ABC, check=False)
         assert done.returncode != 0
@@ -163,7 +164,7 @@ def test_read_only_results(copy_of: CopyOf, finished: Project, outcome: Outcome)
         subprocess.run(["mount", "-o", "remount,bind,ro", str(project.results)], check=True)
         done = project.snakemake(ABC, check=False)
         assert done.returncode != 0
-        outcome.stops(done.stdout + done.stderr, "Read-only file system", "results/tiny")
+        outcome.stops(done.stdout + done.stderr, "Write-protected output files", "results/tiny/abc.csv")
         assert project.digests() == before
     resumed(project)
     outcome.same_digests(project.digests(), finished.digests(), after="writable again")
@@ -194,7 +195,7 @@ def test_what_it_says_helps(
     project = copy_of()
     config = read_campaign(project.results)
     for stage in STAGES[:-1]:
-        path = project.folder / artifact_of(config, stage)
+        path = artifact_of(config, stage)
         damage(path)
         path.touch()
     assert run_and_delete_what_is_named(project, 20) > 0
@@ -209,14 +210,15 @@ def test_what_audit_finds(copy_of: CopyOf, finished: Project, outcome: Outcome) 
     config = read_campaign(project.results)
     damaged = [artifact_of(config, stage) for stage in STAGES]
     for path in damaged:
-        flip_arrays(project.folder / path)
+        flip_arrays(path)
     project.snakemake()  # sees nothing, and makes nothing of them
     audit = project.warmlens("audit", "results/tiny")
     assert audit.returncode == 1
-    named = {Path(line.partition(": ")[0]) for line in audit.stdout.splitlines() if ": damaged: " in line}
+    lines = audit.stdout.splitlines()
+    named = {project.folder / line.partition(": ")[0] for line in lines if ": damaged: " in line}
     assert named == set(damaged)
     for path in named:
-        (project.folder / path).unlink()
+        path.unlink()
     project.snakemake()
     assert project.warmlens("audit", "results/tiny").returncode == 0
     outcome.same_digests(project.digests(), finished.digests(), lost="the damaged files, made anew", after=DELETED)
@@ -227,7 +229,7 @@ def test_deleted(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
     project = copy_of()
     config = read_campaign(project.results)
     for stage in STAGES:
-        (project.folder / artifact_of(config, stage)).unlink()
+        artifact_of(config, stage).unlink()
     project.snakemake()
     outcome.same_digests(project.digests(), finished.digests(), lost="the deleted files, made anew")
 
@@ -297,7 +299,7 @@ def test_edited_config(copy_of: CopyOf, finished: Project, outcome: Outcome) -> 
 
 @fault("Origin", "the clock is set back", "artifacts of tomorrow, a chunk to be made; then started again")
 def test_clock_set_back(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
-    project = without(copy_of(), "scans", "summaries")
+    project = without(copy_of(), "scans")
     tomorrow = time.time() + 86400.0
     for path in project.results.rglob("*.h5"):
         os.utime(path, (tomorrow, tomorrow))
