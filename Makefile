@@ -11,6 +11,7 @@ RESULTS ?= results/demo
 CORES ?= $(shell getconf _NPROCESSORS_ONLN)
 BIN := .venv/bin
 READY := .venv/.ready
+PYTEST := $(BIN)/pytest --numprocesses logical --maxprocesses 5 --no-loadscope-reorder
 SNAKEMAKE := $(BIN)/snakemake --cores $(CORES) --workflow-profile workflow/profiles/local
 
 .PHONY: demo campaign paper hst report docs test pytest test-slurm reliability lint format lock clean
@@ -36,13 +37,13 @@ docs: $(READY)
 test: lint pytest
 
 pytest: $(READY)
-	$(BIN)/pytest --numprocesses logical --maxprocesses 5 --no-loadscope-reorder --durations=25
+	$(PYTEST) --durations=25
 
 test-slurm: $(READY)
 	WARMLENS_TEST_SLURM=1 WARMLENS_TEST_FAULTS=1 $(BIN)/pytest --durations=0 tests/slurm
 
 reliability: $(READY)
-	WARMLENS_TEST_FAULTS=1 $(BIN)/pytest -m fault --durations=0
+	WARMLENS_TEST_FAULTS=1 $(PYTEST) -m fault --durations=25
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -51,7 +51,7 @@ def running(project: Project, target: str = ABC) -> Iterator[subprocess.Popen[st
     finally:
         if process.poll() is None:
             os.killpg(process.pid, signal.SIGKILL)
-        process.communicate()
+            process.communicate()
 
 
 def worker(project: Project, stage: str) -> psutil.Process:
