@@ -82,17 +82,20 @@ def halo_numbers(config: Config) -> Iterator[FloatArray]:
 
 
 def deflection_numbers(config: Config, pixel_scale: float) -> Iterator[FloatArray]:
-    """log10 of the power of the filtered deflection in bands of wavelength, a chunk at a time [n, n_bands]."""
+    """log10 of the deflection's power in bands of wavelength, and of its rms, a chunk at a time [n, n_bands + 1].
+
+    Wavelengths fall from band to band.
+    """
     for path in stage_files(config, "deflections"):
         with open_artifact(path, "deflections") as artifact:
-            fields = artifact.array("delta_alpha").astype(np.float64)
+            fields, rms = artifact.array("delta_alpha").astype(np.float64), artifact.array("rms")
         shape = fields.shape[-2:]
         window = np.outer(*(np.hanning(n) for n in shape))  # the image is not periodic
         power = (np.abs(np.fft.rfft2(fields * window)) ** 2).sum(axis=1)
         frequency = np.hypot(np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])) / pixel_scale
         edges = 1.0 / np.array(SCALES_ARCSEC[::-1])
         bands = [(low <= frequency) & (frequency < high) for low, high in pairwise(edges)]
-        yield np.log10(np.column_stack([power[:, band].sum(axis=1) for band in bands]) + 1e-30)
+        yield np.log10(np.column_stack([*(power[:, band].sum(axis=1) for band in bands), rms]) + 1e-30)
 
 
 def rungs(config: Config) -> dict[str, FloatArray]:
@@ -113,8 +116,9 @@ def rungs(config: Config) -> dict[str, FloatArray]:
     found = {"": table.loc[good, ["m_th_kev", "log10_m_halo_msun"]].to_numpy()}
     for first, name in ((0, "1e7"), (2, "1e8"), (3, "3e8"), (4, "1e9")):
         found[f"haloes: masses above {name}"] = counts[:, first:]
-    found['deflection: power at 0.1-0.2"'] = power[:, -1:]
-    found["deflection: power at all scales"] = power
+    found["deflection: rms"] = power[:, -1:]
+    found['deflection: power at 0.1-0.2"'] = power[:, -2:-1]
+    found["deflection: power at all scales"] = power[:, :-1]
     found["scan: C(dr), cumulative"] = side_by_side(PAPER)
     found["scan: counts, chi2"] = side_by_side(COUNTS)
     if RESPONSE[0] in seen:

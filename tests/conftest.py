@@ -24,18 +24,20 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(Recorder())
 
 
-_FIRST = ("slurm/", "workflow/")
+_ORDER = (
+    "slurm/",  # waits most of the time
+    "workflow/test_campaign.py::test_campaign_is_complete",  # runs the campaign of all, and compiles the kernels
+    *("inference/", "security/", "summaries/", "plots/", "docs/"),  # need no kernels: not to wait for it meanwhile
+    "workflow/",  # long, each of them
+)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Campaigns first: they take longest, and the first one compiles the kernels that all others load.
-
-    Of these Slurm is first, which waits most of the time.
-    """
+    """Campaigns first, which take longest, but for what can be done while the first of them runs."""
 
     def place(item: pytest.Item) -> int:
-        path = item.path.relative_to(ROOT / "tests").as_posix()
-        return next((i for i, start in enumerate(_FIRST) if path.startswith(start)), len(_FIRST))
+        name = item.nodeid.removeprefix("tests/")
+        return next((i for i, start in enumerate(_ORDER) if name.startswith(start)), len(_ORDER))
 
     items.sort(key=place)
 
@@ -54,8 +56,8 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     class ByFixtures(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
             path = nodeid.partition("::")[0]
-            share_a_browser = path.endswith("test_report.py")
-            return nodeid if "workflow/" in path and not share_a_browser else path
+            share_a_fixture = path.endswith(("test_report.py", "test_damage.py"))
+            return nodeid if "workflow/" in path and not share_a_fixture else path
 
     return ByFixtures(config, log)
 
