@@ -148,12 +148,23 @@ def places(path: Path, n: int) -> list[int]:
 
 def with_settings(path: Path, change: Callable[[dict[str, Any]], None]) -> None:
     """The same artifact as made with other settings: sound, and of the same content."""
+    _write_anew(path, change, lambda _: None)
+
+
+def with_other_content(path: Path) -> None:
+    """A sound artifact with the same settings, but of other content."""
+    _write_anew(path, lambda _: None, lambda metadata: metadata.update(note="another"))
+
+
+def _write_anew(
+    path: Path, change: Callable[[dict[str, Any]], None], describe: Callable[[dict[str, Any]], None]
+) -> None:
     with open_artifact(path) as artifact:
-        settings = dict(artifact.settings)
+        settings, metadata = dict(artifact.settings), dict(artifact.metadata)
         change(settings)
+        describe(metadata)
         datasets = {name: artifact.dataset(name) for name in artifact.names}
         provenance = Provenance(artifact.stage, settings, input_paths(artifact, path), span=artifact.span)
-        metadata = dict(artifact.metadata)
     write_artifact(path, provenance, datasets, metadata)
 
 

@@ -10,12 +10,12 @@ from typing import Any
 
 from rocrate.rocrate import ROCrate
 
-from warmlens.artifacts import Provenance, file_digest, open_artifact, write_artifact
-from warmlens.audit import input_paths
+from warmlens.artifacts import file_digest
 from warmlens.audit_campaign import CampaignAudit, audit_campaign
 from warmlens.status import read_campaign
 
 from .conftest import Project
+from .damage import with_other_content
 
 CHUNK = "summaries/chunk-0000000-0000007.h5"
 
@@ -151,12 +151,7 @@ def test_stale_answer_is_neither_drawn_nor_reported(copy_of: Callable[[], Projec
 
 def test_a_figure_is_not_drawn_of_a_broken_chain(copy_of: Callable[[], Project]) -> None:
     project = copy_of()
-    path = project.results / CHUNK
-    with open_artifact(path) as artifact:
-        datasets = {name: artifact.dataset(name) for name in artifact.names}
-        provenance = Provenance(artifact.stage, artifact.settings, input_paths(artifact, path), span=artifact.span)
-        metadata = {**artifact.metadata, "note": "sound, but another"}
-    write_artifact(path, provenance, datasets, metadata)
+    with_other_content(project.results / CHUNK)
     done = project.warmlens("figure", "posterior", "--results", "results/tiny", "--output", "new.png")
     assert done.returncode == 1
     assert f"its input summaries/chunk-0000000-0000007 ({CHUNK}) has changed since" in done.stderr

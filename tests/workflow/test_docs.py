@@ -15,7 +15,7 @@ from warmlens.halos.dark_matter import ThermalRelic, TransferFunction
 from warmlens.inference import summary_sets
 from warmlens.stages.summaries import _Summary
 
-from .conftest import BIN, ROOT, Project
+from .conftest import BIN, ROOT, Project, make_project
 
 
 def blocks(document: str, language: str) -> list[str]:
@@ -70,15 +70,21 @@ def test_what_an_extension_has_to_edit_is_there() -> None:
     assert set(summary_sets.SETS) >= {"paper", "sharper"}
 
 
-def test_tutorial_commands(as_demo: Path) -> None:
-    """As they stand, one after the other; the campaign is not run a second time."""
+def test_tutorial_commands(as_demo: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    """As they stand, one after the other; the campaign is not run again, but planned where there is none."""
+    elsewhere = make_project(tmp_path_factory.mktemp("planned")).folder
     environment = {**os.environ, "NO_COLOR": "1", "PATH": f"{BIN}{os.pathsep}{os.environ['PATH']}"}
     commands = [line for block in blocks("tutorial.md", "sh") for line in block.splitlines()]
     said: dict[str, str] = {}
     for command in commands:
-        extra = " --dry-run --quiet rules" if command.startswith("snakemake") else ""
+        plan = command.startswith("snakemake")
         done = subprocess.run(
-            ["bash", "-c", command + extra], capture_output=True, text=True, check=False, env=environment
+            ["bash", "-c", command + (" --dry-run --quiet rules" if plan else "")],
+            capture_output=True,
+            text=True,
+            check=False,
+            env=environment,
+            cwd=elsewhere if plan else None,
         )
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
         said[" ".join(command.split()[:2])] = done.stdout

@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import h5py
 import pytest
 
 from warmlens.artifacts import open_artifact
@@ -21,6 +20,7 @@ from warmlens.report.sample import read_sample
 
 from .browser import chromium, opened, problems
 from .conftest import Project
+from .damage import with_other_content
 
 HOSTILE = '"><img src=x onerror="document.title=1"><script>document.title=1</script>'
 
@@ -76,8 +76,7 @@ def test_provenance_lists_every_artifact(finished: Project) -> None:
 def test_broken_chain_missing_files_and_figures_are_shown(copy_of: Callable[[], Project]) -> None:
     project = copy_of()
     (project.results / "figures/psf.png").unlink()
-    with h5py.File(project.results / "summaries/chunk-0000000-0000007.h5", "r+") as file:
-        file.attrs["digest"] = "0" * 64
+    with_other_content(project.results / "summaries/chunk-0000000-0000007.h5")
     html = write_report(project.results).read_text()
     assert "The chain is broken</span>: abc.h5: its input summaries/" in html
     assert "figures/psf.png is not there. Make it with <code>snakemake " in html
