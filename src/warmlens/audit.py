@@ -221,7 +221,6 @@ def examine(
     done: Callable[[Path], None] = lambda _: None,
 ) -> list[Record]:
     """What `audit` finds, artifact by artifact, in the order of `expected_files`; each is told to `done`."""
-
     headers: dict[Path, Header] = {}
 
     def one(item: tuple[Path, str]) -> Record:
