@@ -27,8 +27,9 @@ def pytest_configure(config: pytest.Config) -> None:
 _ORDER = (
     "slurm/",  # waits most of the time
     "workflow/test_campaign.py::test_campaign_is_complete",  # runs the campaign of all, and compiles the kernels
-    *("inference/", "security/", "summaries/", "plots/", "docs/"),  # need no kernels: not to wait for it meanwhile
-    "workflow/",  # long, each of them
+    # need no kernels, or not many: not to wait for it meanwhile
+    *("inference/", "security/", "summaries/", "plots/", "science/test_inference", "stages/test_abc.py"),
+    *("workflow/", "docs/"),  # long, each of them
 )
 
 

@@ -179,15 +179,16 @@ class Cluster:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A project whose posterior is computed on the cluster."""
+    """A project whose posterior, or another target, is computed on the cluster."""
 
     cluster: Cluster
     project: Project
+    target: str = TARGET
 
     @property
     def arguments(self) -> list[str]:
         overlays = sorted(path.name for path in self.project.folder.glob("overlay-*.yaml"))
-        return [TARGET, "--configfile", *overlays]
+        return [self.target, "--configfile", *overlays]
 
     def submit(self, *options: str) -> str:
         """Number of the job that runs the whole campaign in one allocation of two cores."""

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from ..workflow.conftest import Project
 from .conftest import Campaign
+
+ONE_CHUNK = "results/tiny/summaries/chunk-0000000-0000007.h5"
 
 
 def test_one_allocation_gives_the_same_digests(local: Project, campaign: Campaign) -> None:
@@ -14,10 +18,13 @@ def test_one_allocation_gives_the_same_digests(local: Project, campaign: Campaig
 
 
 def test_executor_gives_the_same_digests_and_shares_allocations(local: Project, campaign: Campaign) -> None:
+    """Up to the summaries of a chunk; tests of faults go on to the posterior."""
     before = len(campaign.cluster.finished())
+    campaign = dataclasses.replace(campaign, target=ONE_CHUNK)
     campaign.run_with_executor("--group-components", "operator=2", "chunk=2")
-    assert campaign.project.digests() == local.digests()
+    found = campaign.project.digests()
+    assert ONE_CHUNK.removeprefix("results/tiny/") in found
+    assert found == {name: digest for name, digest in local.digests().items() if name in found}
     jobs = campaign.cluster.finished()[before:]
-    # lens, operator, observed, both chunks, null test, abc
-    assert len(jobs) == 6, jobs
+    assert len(jobs) == 3, jobs  # lens, operator, the chunk
     assert all("JobState=COMPLETED" in job and "Tres=cpu=1," in job for job in jobs), jobs

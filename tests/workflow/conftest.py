@@ -41,7 +41,7 @@ N_CHUNKED_STAGES = 5
 # What compiles the kernels: made first, one of a kind, or two jobs at a time would each compile the same.
 COMPILING = (
     "results/tiny/scan_operator/shard-0000000-0000100.h5",
-    "results/tiny/deflections/chunk-0000000-0000007.h5",
+    "results/tiny/scans/chunk-0000000-0000007.h5",
 )
 
 

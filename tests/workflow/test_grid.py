@@ -15,7 +15,7 @@ GRID = {
     "campaign": {
         "design": "grid",
         "n_samples": 12,
-        "chunk_size": 6,
+        "chunk_size": 12,
         "grid": {"m_th_kev": [1.5, 5.0], "log10_m_halo_msun": [12.5, 13.4], "realizations": 3},
     },
     "dark_matter": {"m_th_kev": [1.0, 5.0], "log10_m_halo_msun": [12.0, 13.5]},
@@ -37,7 +37,7 @@ def test_grid_to_exclusion(copy_of: Callable[[], Project]) -> None:
     assert taken.returncode == 0, taken.stderr
     assert "scan_operator: 2 linked, 0 in place, 0 to make" in taken.stdout
     planned = project.planned()
-    assert {stage: planned.pop(stage) for stage in PER_SAMPLE} == dict.fromkeys(PER_SAMPLE, 2)
+    assert {stage: planned.pop(stage) for stage in PER_SAMPLE} == dict.fromkeys(PER_SAMPLE, 1)
     assert planned.pop("exclusion") == planned.pop("manifest") == planned.pop("all") == 1
     assert set(planned) == {"figure"}  # neither abc nor anything of the smooth lens
     project.snakemake(EXCLUSION)

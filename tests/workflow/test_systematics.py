@@ -36,7 +36,11 @@ def _times(folder: Path) -> dict[str, int]:
 
 def test_systematics(copy_of: Callable[[], Project]) -> None:
     project = copy_of()
-    block = {"base": ["overlay-0.yaml"], "results": "results/systematics", "variants": VARIANTS}
+    project.configure({"campaign": {"n_samples": 7}})  # one chunk
+    for path in project.results.glob("*/chunk-0000007-*.h5"):
+        path.unlink()
+    project.snakemake("results/tiny/abc.h5")
+    block = {"base": ["overlay-0.yaml", "overlay-1.yaml"], "results": "results/systematics", "variants": VARIANTS}
     (project.folder / "mine.yaml").write_text(yaml.safe_dump(block, sort_keys=False))
     before = _times(project.results)
     done = project.warmlens("systematics", "--config", "mine.yaml", "--cores", "2")

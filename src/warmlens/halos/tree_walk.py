@@ -42,6 +42,16 @@ def progenitor_position(row, last, fraction):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True)
+def enlarged(columns, room):  # type: ignore[no-untyped-def]
+    """The same columns with room for more. A loop: numba compiles the assignment of a slice for seconds."""
+    out = np.empty((columns.shape[0], room), columns.dtype)
+    for row in range(columns.shape[0]):
+        for i in range(columns.shape[1]):
+            out[row, i] = columns[row, i]
+    return out
+
+
+@njit(cache=True)
 def walk_branch(rng, clock, clock_end, ln_mass, to_end, table):  # type: ignore[no-untyped-def]
     """Walk one branch from ln_mass at clock; a last step past clock_end is shortened if to_end, else not taken.
 
@@ -101,9 +111,7 @@ def walk_branch(rng, clock, clock_end, ln_mass, to_end, table):  # type: ignore[
             ln_mass = math.log(heavy)
             if light > 0.0:
                 if n_accreted == accreted.shape[1]:
-                    grown = np.empty((3, 2 * n_accreted))
-                    grown[:, :n_accreted] = accreted
-                    accreted = grown
+                    accreted = enlarged(accreted, 2 * n_accreted)
                 accreted[0, n_accreted] = light
                 accreted[1, n_accreted] = heavy
                 accreted[2, n_accreted] = clock
@@ -143,13 +151,11 @@ def walk_all(rng, clock, clock_end, ln_mass, table):  # type: ignore[no-untyped-
         new = accreted.shape[1]
         if n_found + new > values.shape[1]:
             room = 2 * (n_found + new)
-            more_values, more_links = np.empty((5, room)), np.empty((2, room), np.int64)
-            more_values[:, :n_found] = values[:, :n_found]
-            more_links[:, :n_found] = links[:, :n_found]
-            values, links = more_values, more_links
-        values[:3, n_found : n_found + new] = accreted
-        links[0, n_found : n_found + new] = links[0, branch] + 1
-        links[1, n_found : n_found + new] = branch
+            values, links = enlarged(values, room), enlarged(links, room)
+        for i in range(new):
+            for row in range(3):
+                values[row, n_found + i] = accreted[row, i]
+            links[0, n_found + i], links[1, n_found + i] = links[0, branch] + 1, branch
         n_found += new
         branch += 1
     return values[:, :n_found], links[:, :n_found]

@@ -163,7 +163,8 @@ def _hermite_functions(u: FloatArray, factors: FloatArray, out: FloatArray) -> N
     for ray in range(u.size):
         out[0, ray] = math.pi**-0.25 * math.exp(-0.5 * u[ray] * u[ray])
     if out.shape[0] > 1:
-        out[1] = math.sqrt(2.0) * u * out[0]
+        for ray in range(u.size):  # loops, not slices: numba compiles those for seconds, in every caller again
+            out[1, ray] = math.sqrt(2.0) * u[ray] * out[0, ray]
     for n in range(1, out.shape[0] - 1):
         up, down = factors[0, n], factors[1, n]
         for ray in range(u.size):
@@ -194,7 +195,9 @@ def add_basis(
         for ray in range(n_ray):
             _hermite_functions((x[ray] - packed[item, 2]) / packed[item, 1], factors, phi_x[ray])
             _hermite_functions((y[ray] - packed[item, 3]) / packed[item, 1], factors, phi_y[ray])
-            phi_x[ray] *= weights[ray]
+            for n in range(n_max + 1):
+                for i in range(npix):
+                    phi_x[ray, n, i] *= weights[ray]
         by_four = n_ray - n_ray % 4
         for total in range(n_max + 1):
             for n2 in range(total + 1):
@@ -227,7 +230,9 @@ def _pixel_basis(
         x = np.ascontiguousarray(source_x[first:last].T)
         y = np.ascontiguousarray(source_y[first:last].T)
         add_basis(packed, factors, x, y, weights, block)
-        out[first:last] = block.T
+        for i in range(first, last):
+            for coefficient in range(n_coef):
+                out[i, coefficient] = block[coefficient, i - first]
     return out
 
 

@@ -181,7 +181,9 @@ def nested_columns(nested: PerturbedBasis, point: FloatArray) -> tuple[IntArray,
                 y[sub, i - first] = basis.source_y[pixels[i], sub]
         block = np.zeros((basis.n_coef, last - first))
         add_basis(basis.packed, basis.factors, x, y, weights, block)
-        columns[first:last] = block.T
+        for i in range(first, last):
+            for coefficient in range(basis.n_coef):
+                columns[i, coefficient] = block[coefficient, i - first]
     return pixels, columns
 
 

@@ -132,8 +132,8 @@ def _difference(
     n_sub = basis.theta_x.shape[1]
     x, y = np.empty((2 * n_sub, moved.size)), np.empty((2 * n_sub, moved.size))
     weights = np.empty(2 * n_sub)
-    weights[:n_sub] = 1.0 / n_sub
-    weights[n_sub:] = -1.0 / n_sub
+    for sub in range(n_sub):
+        weights[sub], weights[n_sub + sub] = 1.0 / n_sub, -1.0 / n_sub
     for i in range(moved.size):
         for sub in range(n_sub):
             dx, dy = basis.theta_x[moved[i], sub] - center_x, basis.theta_y[moved[i], sub] - center_y
