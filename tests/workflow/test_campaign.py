@@ -227,7 +227,9 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(
     project = copy_of()
     prior = {"m_th_kev": [0.2, 1.0], "log10_m_halo_msun": [10.0, 10.3]}
     campaign = {"n_samples": 7}  # one chunk
-    project.configure({"campaign": campaign, "dark_matter": prior, "abc": {"max_failed_fraction": 0.9}})
+    project.configure(
+        {"campaign": campaign, "dark_matter": prior, "abc": {"fraction": 0.7, "max_failed_fraction": 0.9}}
+    )
     project.snakemake(ABC)
     table = pd.read_csv(project.results / "abc.csv")
     failed = table["status"] > 0
@@ -251,7 +253,9 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(
     html = (project.folder / "failed.html").read_text()
     assert "This sample failed in the stage halos." in html
     assert "Traceback (most recent call last)" in html
-    project.configure({"campaign": campaign, "dark_matter": prior, "abc": {"max_failed_fraction": 0.1}})
+    project.configure(
+        {"campaign": campaign, "dark_matter": prior, "abc": {"fraction": 0.7, "max_failed_fraction": 0.1}}
+    )
     done = project.snakemake(ABC, check=False)
     assert done.returncode != 0
     outcome.goes_on("the samples fail, the others go on", "those samples, counted as failed")

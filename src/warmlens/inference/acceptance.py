@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import median_abs_deviation, rankdata
+import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
 
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -110,7 +110,7 @@ def reduce_distances(distances: FloatArray, rule: str) -> FloatArray:
     if rule != "scaled_sum":
         raise ValueError(f"unknown rule {rule!r}; abc.acceptance is one of {', '.join(RULES)}")
     _refuse_infinite(distances)
-    scale = np.asarray(median_abs_deviation(distances, axis=1))
+    scale = np.asarray(scipy.stats.median_abs_deviation(distances, axis=1))
     if not (scale > 0.0).all():
         raise ValueError(
             f"the median absolute deviation of distance {int(np.argmin(scale))} is 0: more than half of the "
@@ -176,7 +176,7 @@ def max_rank(distances: FloatArray) -> IntArray:
     if distances.ndim != 2 or distances.shape[0] < 1:
         raise ValueError(f"distances must be [n_kinds, n], got shape {distances.shape}")
     _refuse_infinite(distances)
-    return rankdata(distances, method="max", axis=1).astype(np.int64).max(axis=0)
+    return scipy.stats.rankdata(distances, method="max", axis=1).astype(np.int64).max(axis=0)
 
 
 def accept_max_rank(

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import rankdata
+import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
 
 from warmlens.inference.acceptance import max_rank, number_accepted, reduce_distances
 from warmlens.types import BoolArray, FloatArray, IntArray
@@ -54,8 +54,8 @@ def bootstrap_counts(
     n = distances.shape[1]
     ks = [number_accepted(n, fraction) for fraction in fractions]
     by_distance = np.argsort(distances, axis=1, kind="stable")
-    last_as_close = rankdata(distances, method="max", axis=1).astype(np.int64) - 1  # [n_kinds, n]
-    first_as_close = rankdata(distances, method="min", axis=1).astype(np.int64) - 1
+    last_as_close = scipy.stats.rankdata(distances, method="max", axis=1).astype(np.int64) - 1  # [n_kinds, n]
+    first_as_close = scipy.stats.rankdata(distances, method="min", axis=1).astype(np.int64) - 1
     result = np.empty((len(ks), n_bootstrap, n), dtype=np.uint16)
     batch = max(1, BATCH_ELEMENTS // n)
     for start in range(0, n_bootstrap, batch):

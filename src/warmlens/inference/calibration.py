@@ -8,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import beta, kstest
+import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
 
 from warmlens.inference.acceptance import accept, number_accepted, reduce_distances
 from warmlens.inference.adjustment import MIN_ACCEPTED as MIN_TO_ADJUST
@@ -183,8 +183,9 @@ def coverage_by_mass(bounds: FloatArray, truth: FloatArray, level: float) -> dic
 def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
     """Interval of a binomial probability that contains it at least as often as `confidence` says."""
     tail = 0.5 * (1.0 - confidence)
-    low = 0.0 if successes == 0 else float(beta.ppf(tail, successes, trials - successes + 1))
-    high = 1.0 if successes == trials else float(beta.ppf(1.0 - tail, successes + 1, trials - successes))
+    quantile = scipy.stats.beta.ppf
+    low = 0.0 if successes == 0 else float(quantile(tail, successes, trials - successes + 1))
+    high = 1.0 if successes == trials else float(quantile(1.0 - tail, successes + 1, trials - successes))
     return low, high
 
 
@@ -223,7 +224,7 @@ def rank_test(pit: FloatArray, rng: np.random.Generator, n_grid: int = 50, n_sim
     simulated uniform ranks.
     """
     grid = np.arange(1, n_grid + 1) / (n_grid + 1)
-    ks = kstest(pit, "uniform")
+    ks = scipy.stats.kstest(pit, "uniform")
     simulated = rng.multinomial(pit.size, np.full(n_grid + 1, 1.0 / (n_grid + 1)), size=n_simulated)
     steps = np.sort(np.cumsum(simulated, axis=1)[:, :-1] / pit.size, axis=0)  # [n_simulated, n_grid], each sorted
     ecdf = np.searchsorted(np.sort(pit), grid, side="right") / pit.size

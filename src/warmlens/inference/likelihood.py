@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.stats import norm
+import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
 
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -164,6 +164,7 @@ class BoundaryKernels:
         self, grid: FloatArray, values: FloatArray, bandwidth: float, value_range: tuple[float, float]
     ) -> None:
         lower, upper = (grid - value_range[1]) / bandwidth, (grid - value_range[0]) / bandwidth
+        norm = scipy.stats.norm
         a0 = norm.cdf(upper) - norm.cdf(lower)
         a1 = norm.pdf(lower) - norm.pdf(upper)
         a2 = a0 + lower * norm.pdf(lower) - upper * norm.pdf(upper)

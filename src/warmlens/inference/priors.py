@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import norm
+import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
 
 from warmlens.inference.table import Range, Table
 from warmlens.types import FloatArray
@@ -41,14 +41,14 @@ class HaloMassPrior:
         """Density up to a factor, the shape of `log10_mass`."""
         if self.flat:
             return ((log10_mass >= self.mean) & (log10_mass <= self.sigma)).astype(np.float64)
-        return norm.pdf(log10_mass, self.mean, self.sigma)
+        return scipy.stats.norm.pdf(log10_mass, self.mean, self.sigma)
 
     def outside(self, box: Range) -> float:
         """Probability of this prior outside the box of the samples."""
         if self.flat:
             inside = min(self.sigma, box[1]) - max(self.mean, box[0])
             return 1.0 - max(inside, 0.0) / (self.sigma - self.mean)
-        below = np.asarray(norm.cdf(np.array(box), self.mean, self.sigma))
+        below = np.asarray(scipy.stats.norm.cdf(np.array(box), self.mean, self.sigma))
         return float(1.0 - (below[1] - below[0]))
 
 
