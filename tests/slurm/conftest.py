@@ -1,7 +1,7 @@
 """A real Slurm of one node on loopback, for the tests in this folder: Debian's packages, no systemd, own files.
 
 They need root on a Debian-like system without a Slurm of its own, and are asked for with WARMLENS_TEST_SLURM=1
-(.ci/run); `make test-slurm` injects faults too.
+(.ci/run), to make all samples and the posterior; `make test-slurm` makes the lens there too, and injects faults.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import pytest
 
 from warmlens.layout import CHUNKED
 
-from ..workflow.conftest import Project, finished_campaign, make_project
+from ..workflow.conftest import Project, finished_campaign
 
 BIN = Path(sys.executable).parent
 PACKAGES = ("slurm-wlm", "slurm-wlm-basic-plugins", "munge")
@@ -33,6 +33,7 @@ SYSTEM_CONF = Path("/etc/slurm/slurm.conf")
 PARTITION = "test"
 TARGET = "results/tiny/abc.h5"
 PATIENCE = 900.0  # seconds for anything to end
+FROM_NOTHING = "WARMLENS_TEST_FAULTS" in os.environ
 
 CONFIGURATION = """\
 ClusterName=warmlens-tests
@@ -179,16 +180,15 @@ class Cluster:
 
 @dataclass(frozen=True)
 class Campaign:
-    """A project whose posterior, or another target, is computed on the cluster."""
+    """A project whose posterior is computed on the cluster."""
 
     cluster: Cluster
     project: Project
-    target: str = TARGET
 
     @property
     def arguments(self) -> list[str]:
         overlays = sorted(path.name for path in self.project.folder.glob("overlay-*.yaml"))
-        return [self.target, "--configfile", *overlays]
+        return [TARGET, "--configfile", *overlays]
 
     def submit(self, *options: str) -> str:
         """Number of the job that runs the whole campaign in one allocation of two cores."""
@@ -322,12 +322,6 @@ def local(cluster: Cluster, tmp_path_factory: pytest.TempPathFactory) -> Project
 
 
 @pytest.fixture
-def campaign(cluster: Cluster, tmp_path: Path) -> Campaign:
-    """A campaign of which nothing is there."""
-    return Campaign(cluster, make_project(tmp_path))
-
-
-@pytest.fixture
 def half_done(cluster: Cluster, local: Project, tmp_path: Path) -> Campaign:
     """A campaign whose lens and scan operator are there, and no sample."""
     subprocess.run(["cp", "-a", f"{local.folder}/.", str(tmp_path)], check=True)
@@ -336,3 +330,12 @@ def half_done(cluster: Cluster, local: Project, tmp_path: Path) -> Campaign:
         shutil.rmtree(project.results / stage)
     (project.folder / TARGET).unlink()
     return Campaign(cluster, project)
+
+
+@pytest.fixture
+def campaign(half_done: Campaign) -> Campaign:
+    """A campaign of which nothing is there, or as much as `half_done`."""
+    if FROM_NOTHING:
+        shutil.rmtree(half_done.project.results)
+        shutil.rmtree(half_done.project.folder / ".snakemake")
+    return half_done

@@ -66,10 +66,9 @@ def test_killed_campaign_resumes_on_one_core_to_the_same_digests(
 ) -> None:
     """As a user does it, `warmlens run` and `resume`; on one core, where the finished one had two."""
     project = copy_of()
-    for path in project.results.rglob("*.h5"):
-        if "chunk-" in path.name or path.parent.name == "null" or path.name == "abc.h5":
-            path.unlink()
-    lens = project.digests()
+    for path in (*project.results.rglob("chunk-0000007-*.h5"), project.folder / ABC):
+        path.unlink()
+    before = project.digests()
     process = subprocess.Popen(
         [str(BIN / "warmlens"), "run", "--configfile", "overlay-0.yaml", "--cores", "1", "--", ABC],
         cwd=project.folder,
@@ -78,7 +77,7 @@ def test_killed_campaign_resumes_on_one_core_to_the_same_digests(
         start_new_session=True,
     )
     deadline = time.monotonic() + 600.0
-    while not list(project.results.glob("deflections/*.h5")):
+    while not (project.results / "deflections/chunk-0000007-0000014.h5").exists():
         assert process.poll() is None, "the campaign ended before it could be killed"
         assert time.monotonic() < deadline
         time.sleep(0.1)
@@ -87,8 +86,8 @@ def test_killed_campaign_resumes_on_one_core_to_the_same_digests(
     assert "is locked by process" in refused.stderr and "wait for it" in refused.stderr
     os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    done_before = project.digests()
-    assert len(lens) < len(done_before) < len(finished.digests())
+    done = project.digests()
+    assert len(before) < len(done) < len(finished.digests())
     assert project.warmlens("audit", "results/tiny").returncode == 1
     resumed = project.warmlens("resume", "results/tiny", "--cores", "1", "--", ABC)
     assert resumed.returncode == 0, resumed.stdout + resumed.stderr
@@ -226,10 +225,8 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(
     """Haloes below twice the resolution of a very warm relic cannot be drawn: those samples fail, others go on."""
     project = copy_of()
     prior = {"m_th_kev": [0.2, 1.0], "log10_m_halo_msun": [10.0, 10.3]}
-    campaign = {"n_samples": 7}  # one chunk
-    project.configure(
-        {"campaign": campaign, "dark_matter": prior, "abc": {"fraction": 0.7, "max_failed_fraction": 0.9}}
-    )
+    campaign = {"chunk_size": 14}
+    project.configure({"campaign": campaign, "dark_matter": prior, "abc": {"max_failed_fraction": 0.9}})
     project.snakemake(ABC)
     table = pd.read_csv(project.results / "abc.csv")
     failed = table["status"] > 0
@@ -244,7 +241,7 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(
     )
     with open_artifact(project.results / "abc.h5", "abc") as artifact:
         assert artifact.metadata["n_failed"] == failed.sum()
-    assert f"{failed.sum()} of 7 samples failed" in project.warmlens("result", "results/tiny").stdout
+    assert f"{failed.sum()} of 14 samples failed" in project.warmlens("result", "results/tiny").stdout
     assert project.warmlens("report", "results/tiny").returncode == 0
     html = (project.results / "report.html").read_text()
     assert html.count('<td>halos</td><td class="wide">halos: ValueError: m_halo_msun must be') == failed.sum()
@@ -253,9 +250,7 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(
     html = (project.folder / "failed.html").read_text()
     assert "This sample failed in the stage halos." in html
     assert "Traceback (most recent call last)" in html
-    project.configure(
-        {"campaign": campaign, "dark_matter": prior, "abc": {"fraction": 0.7, "max_failed_fraction": 0.1}}
-    )
+    project.configure({"campaign": campaign, "dark_matter": prior, "abc": {"max_failed_fraction": 0.1}})
     done = project.snakemake(ABC, check=False)
     assert done.returncode != 0
     outcome.goes_on("the samples fail, the others go on", "those samples, counted as failed")
