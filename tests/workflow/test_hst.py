@@ -37,6 +37,8 @@ def test_real_image_to_posterior(project: Project) -> None:
             "source": {"n_max": 16, "clumps": {"number": 3, "n_max": 3, "threshold": 5.0, "scale_in_fwhm": 0.5}},
             "fit": {"levels": [10], "max_steps": 3, "tolerance": 1.0e-2, "psf": {"iterations": 1}},
         },
+        "scan": {"shard_size": 200},
+        "null_test": {"n_mocks": 0},
         "abc": {"fraction": 0.5},
     }
     project.configure(HST, small)
