@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,7 +27,10 @@ _CHUNK = re.compile(r"(\d{7})-(\d{7})")
 
 @dataclass(frozen=True)
 class Job:
-    """One job: its stage, its samples (None of a stage that has none), wall seconds and peak memory [GB]."""
+    """One job: its stage, its samples (None of a stage that has none), wall seconds and peak memory [GB].
+
+    Memory is NaN of a job that ended before Snakemake looked.
+    """
 
     stage: str
     samples: tuple[int, int] | None
@@ -43,10 +47,14 @@ def read_jobs(folder: Path) -> list[Job]:
         stage, _, rest = path.relative_to(folder).with_suffix("").as_posix().partition("/")
         span = _CHUNK.fullmatch(rest)
         samples = (int(span[1]), int(span[2])) if span and stage in CHUNKED else None
-        memory = float(row["max_rss"]) / 1024.0 if row["max_rss"] not in ("-", "NA") else 0.0
+        memory = float(row["max_rss"]) / 1024.0 if row["max_rss"] not in ("-", "NA") else math.nan
         jobs.append(Job(stage, samples, float(row["s"]), memory))
     if not jobs:
         raise SystemExit(f"{folder}: no benchmark files; run the campaign, which writes them")
+    for stage in CHUNKED:
+        spans = sorted(job.samples for job in jobs if job.stage == stage and job.samples is not None)
+        if [start for start, _ in spans] != [0, *(stop for _, stop in spans[:-1])]:
+            raise SystemExit(f"{folder / stage}: chunks have gaps or overlap, as of an older chunk_size: {spans}")
     return jobs
 
 
@@ -72,15 +80,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", type=Path)
     options = parser.parse_args(arguments)
     jobs = read_jobs(options.results / "benchmarks")
+    made = min(max(job.samples[1] for job in jobs if job.stage == stage and job.samples) for stage in CHUNKED)
+    if max(options.samples) > made or min(options.samples) < 1:
+        parser.error(f"--samples must be from 1 to the {made} that {options.results} has, got {options.samples}")
 
     print("| stage | jobs | core minutes | peak memory [GB] |")
     print("| --- | --- | --- | --- |")
     stages = {}
     for stage in dict.fromkeys(job.stage for job in jobs):
         own = [job for job in jobs if job.stage == stage]
-        minutes, memory = sum(job.seconds for job in own) / 60.0, max(job.memory_gb for job in own)
-        stages[stage] = {"jobs": len(own), "core_minutes": minutes, "memory_gb": memory}
-        print(f"| {stage} | {len(own)} | {minutes:.1f} | {memory:.1f} |")
+        minutes, memory = sum(job.seconds for job in own) / 60.0, [job.memory_gb for job in own]
+        peak = max((gb for gb in memory if not math.isnan(gb)), default=None)
+        stages[stage] = {"jobs": len(own), "core_minutes": minutes, "memory_gb": peak}
+        print(f"| {stage} | {len(own)} | {minutes:.1f} | {'not measured' if peak is None else f'{peak:.1f}'} |")
     fixed = fixed_seconds(jobs)
     print(f"\nmade once: {fixed / 60.0:.1f} core minutes\n")
 

@@ -38,7 +38,6 @@ def test_real_image_to_posterior(project: Project) -> None:
             "fit": {"levels": [10], "max_steps": 3, "tolerance": 1.0e-2, "psf": {"iterations": 1}},
         },
         "scan": {"shard_size": 200},
-        "null_test": {"n_mocks": 0},
         "abc": {"fraction": 0.5},
     }
     project.configure(HST, small)
