@@ -31,7 +31,7 @@ rule all:
         # every stage's files, so that a deleted artifact is made again
         [stage_files(CAMPAIGN, stage) for stage in CAMPAIGN_STAGES],
         [results(name) for name in ANSWER_FILES[ANSWER]],
-        expand(results("figures/{figure}.{kind}"), figure=DRAWN, kind=("png", "csv")),
+        [pictures(names) for names in DRAWN.values()],
         [results(REPORT)] if ANSWER == "abc" else [],
         results(MANIFEST),
         results(CRATE),

@@ -191,6 +191,19 @@ def abc(
 
 
 @app.command(rich_help_panel=PANEL)
+def figures(
+    results: Annotated[Path, typer.Argument(help="Results folder of a campaign.")],
+    names: Annotated[list[str], typer.Argument(help="Its figures.")],
+) -> None:
+    """Draw figures of a campaign into its folder; see `warmlens figure` for one of them elsewhere."""
+    from warmlens.figures import registry
+
+    for number, name in enumerate(names, start=1):
+        registry.write_from_results(name, [results], results / f"figures/{name}.png")
+        typer.echo(f"{name}: drawn, {number} of {len(names)}")
+
+
+@app.command(rich_help_panel=PANEL)
 def exclusion(
     params: Params,
     summary: Inputs,

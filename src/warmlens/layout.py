@@ -23,22 +23,12 @@ SINGLE = {
 }
 CHUNKED = ("halos", "deflections", "mocks", "scans", "summaries")
 NULL = ("null_mocks", "null_scans", "null_summaries")
-FIGURES = (
-    "smooth_model",
-    "psf",
-    "halo_maps",
-    "deflection_maps",
-    "mocks",
-    "delta_r",
-    "scan_plane",
-    "correlation",
-    "posterior",
-    "likelihood",
-    "calibration",
-    "convergence",
-    "predictive",
-    "information",
-)
+FIGURE_GROUPS = {  # one job each: loading what draws takes longer than to draw
+    "lens": ("smooth_model", "psf", "scan_plane"),
+    "samples": ("halo_maps", "deflection_maps", "mocks", "delta_r", "correlation"),
+    "answer": ("posterior", "likelihood", "calibration", "convergence", "predictive", "information"),
+}
+FIGURES = tuple(name for names in FIGURE_GROUPS.values() for name in names)
 FIGURE_VERSION = 5  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
 CONFIG = "config.json"
 TABLE = "abc.csv"

@@ -17,6 +17,8 @@ import yaml
 from warmlens.artifacts import open_artifact
 from warmlens.layout import REPORT
 
+from . import forked
+
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
 
@@ -61,14 +63,7 @@ class Project:
         return [str(BIN / "snakemake"), *arguments, *profile, "--configfile", *overlays]
 
     def snakemake(self, *arguments: str, cores: int = 2, check: bool = True) -> subprocess.CompletedProcess[str]:
-        done = subprocess.run(
-            self.command(*arguments, cores=cores),
-            cwd=self.folder,
-            capture_output=True,
-            text=True,
-            check=False,
-            env={**os.environ, "NO_COLOR": "1"},
-        )
+        done = forked.run(self.command(*arguments, cores=cores), self.folder, {**os.environ, "NO_COLOR": "1"})
         if check and done.returncode:
             raise AssertionError(f"snakemake failed:\n{done.stdout}\n{done.stderr}")
         return done

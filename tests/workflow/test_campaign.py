@@ -16,7 +16,7 @@ import pytest
 
 from warmlens.artifacts import open_artifact
 from warmlens.figures.inputs import NEEDED
-from warmlens.layout import CHUNKED, FIGURES
+from warmlens.layout import CHUNKED, FIGURE_GROUPS, FIGURES
 
 from ..reliability import Outcome, fault
 from .conftest import BIN, N_CHUNKED_STAGES, Project
@@ -141,6 +141,10 @@ def _masses(root: Path) -> np.ndarray:
     return np.concatenate(parts)
 
 
+def _drawn_from(stage: str) -> list[str]:
+    return [group for group, names in FIGURE_GROUPS.items() if any(stage in NEEDED[name] for name in names)]
+
+
 class TestWhatIsRunAgain:
     """Jobs of a dry run after a change."""
 
@@ -168,8 +172,9 @@ class TestWhatIsRunAgain:
     def test_acceptance(self, copy_of: Callable[[], Project]) -> None:
         project = copy_of()
         project.configure({"abc": {"fraction": 0.5}})
-        drawn = sum("abc" in NEEDED[name] for name in FIGURES)
-        assert project.planned() == {"abc": 1, "figure": drawn, "report": 1, "manifest": 1, "all": 1}
+        drawn = {f"figures_{group}": 1 for group in _drawn_from("abc")}
+        assert drawn
+        assert project.planned() == {"abc": 1, **drawn, "report": 1, "manifest": 1, "all": 1}
 
     def test_number_of_mocks_of_the_null_test(self, copy_of: Callable[[], Project]) -> None:
         project = copy_of()
@@ -198,7 +203,7 @@ class TestWhatIsRunAgain:
             2 * N_CHUNKED_STAGES
         )
         assert jobs["scan_operator"] == 2
-        assert jobs["figure"] == len(FIGURES)
+        assert all(jobs[f"figures_{group}"] == 1 for group in FIGURE_GROUPS)
 
 
 def test_invalid_configuration_stops_before_any_job(project: Project) -> None:

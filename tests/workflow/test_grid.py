@@ -39,7 +39,7 @@ def test_grid_to_exclusion(copy_of: Callable[[], Project]) -> None:
     planned = project.planned()
     assert {stage: planned.pop(stage) for stage in PER_SAMPLE} == dict.fromkeys(PER_SAMPLE, 1)
     assert planned.pop("exclusion") == planned.pop("manifest") == planned.pop("all") == 1
-    assert set(planned) == {"figure"}  # neither abc nor anything of the smooth lens
+    assert set(planned) == {"figures_lens", "figures_samples"}  # neither abc nor anything of the smooth lens
     project.snakemake(EXCLUSION)
     results = project.folder / "results/grid"
     with open_artifact(results / "exclusion.h5", "exclusion") as artifact:

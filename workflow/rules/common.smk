@@ -11,7 +11,7 @@ from warmlens.artifacts import ArtifactError, atomic_path, canonical_json, setti
 from warmlens.audit import check_unrecorded
 from warmlens.config_file import ConfigError, parse_config
 from warmlens.config_yaml import read_yaml
-from warmlens.figures.inputs import drawn_figures, figure_inputs
+from warmlens.figures.inputs import drawn_groups, figure_inputs
 from warmlens.layout import (
     ANSWER_FILES,
     CONFIG,
@@ -45,7 +45,7 @@ except ConfigError as error:
 
 CAMPAIGN_STAGES = campaign_stages(CAMPAIGN)
 ANSWER = CAMPAIGN_STAGES[-1]  # abc, or exclusion on a grid, which has no posterior to draw
-DRAWN = drawn_figures(CAMPAIGN)
+DRAWN = drawn_groups(CAMPAIGN)
 
 
 wildcard_constraints:
@@ -72,6 +72,14 @@ def all_chunks(stage):
 def settings(stage):
     # just what changes the numbers of this stage: a change reruns this stage and what depends on it
     return canonical_json(stage_settings(CAMPAIGN, stage).as_dict())
+
+
+def pictures(names):
+    return [results(f"figures/{name}.{kind}") for name in names for kind in ("png", "csv")]
+
+
+def unique(paths):
+    return list(dict.fromkeys(str(path) for path in paths))
 
 
 def repeated(option, paths):

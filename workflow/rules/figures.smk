@@ -1,20 +1,25 @@
-rule figure:
-    input:
-        lambda wildcards: list(figure_inputs(CAMPAIGN, wildcards.figure).values()),
-    output:
-        picture=ensure(results("figures/{figure}.png"), non_empty=True),
-        data=ensure(results("figures/{figure}.csv"), non_empty=True),
-    params:
-        version=FIGURE_VERSION,
-        folder=CAMPAIGN.results,  # whose configuration the artifacts are checked against
-    log:
-        results("logs/figures/{figure}.log"),
-    benchmark:
-        results("benchmarks/figures/{figure}.tsv")
-    resources:
-        mem_mb=2000,
-        runtime=10,
-    message:
-        "figure: {wildcards.figure}"
-    shell:
-        "warmlens figure {wildcards.figure} --results {params.folder:q} --output {output.picture:q} > {log:q} 2>&1"
+# Several figures a job; a figure of a finished campaign by itself: warmlens figure NAME --results FOLDER
+for group, names in DRAWN.items():
+
+    rule:
+        name:
+            f"figures_{group}"
+        input:
+            unique(path for figure in names for path in figure_inputs(CAMPAIGN, figure).values()),
+        output:
+            ensure(pictures(names), non_empty=True),
+        params:
+            version=FIGURE_VERSION,
+            folder=CAMPAIGN.results,  # whose configuration the artifacts are checked against
+            names=names,
+        log:
+            results(f"logs/figures/{group}.log"),
+        benchmark:
+            results(f"benchmarks/figures/{group}.tsv")
+        resources:
+            mem_mb=2000,
+            runtime=20,
+        message:
+            f"figures: {', '.join(names)}"
+        shell:
+            "warmlens figures {params.folder:q} {params.names} > {log:q} 2>&1"

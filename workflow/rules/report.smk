@@ -3,7 +3,7 @@ rule report:
     input:
         [stage_files(CAMPAIGN, stage) for stage in CAMPAIGN_STAGES],
         [results(name) for name in ANSWER_FILES[ANSWER]],
-        expand(results("figures/{figure}.png"), figure=DRAWN),
+        [pictures(names) for names in DRAWN.values()],
     output:
         ensure(results(REPORT), non_empty=True),
     params:

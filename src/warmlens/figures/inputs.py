@@ -9,7 +9,7 @@ from pathlib import Path
 from warmlens.artifacts import ArtifactError
 from warmlens.audit import check_chains
 from warmlens.config import Config
-from warmlens.layout import FIGURES, SINGLE, stage_files
+from warmlens.layout import FIGURE_GROUPS, SINGLE, stage_files
 from warmlens.snakemake_command import remaking_command
 from warmlens.stages.settings import campaign_stages, stage_digests
 
@@ -40,10 +40,19 @@ NEEDED: dict[str, tuple[str, ...]] = {
 _PLANE = ("observed_scan", "smooth_model")  # of every campaign that is compared
 
 
-def drawn_figures(config: Config) -> list[str]:
-    """Figures that a campaign draws: those whose stages it has."""
+def drawn_groups(config: Config) -> dict[str, list[str]]:
+    """Figures that a campaign draws, those whose stages it has, by the job that draws them."""
     stages = campaign_stages(config)
-    return [name for name in FIGURES if all(need.removesuffix("/*") in stages for need in NEEDED[name])]
+    groups = {
+        group: [name for name in names if all(need.removesuffix("/*") in stages for need in NEEDED[name])]
+        for group, names in FIGURE_GROUPS.items()
+    }
+    return {group: names for group, names in groups.items() if names}
+
+
+def drawn_figures(config: Config) -> list[str]:
+    """Names of all figures that a campaign draws."""
+    return [name for names in drawn_groups(config).values() for name in names]
 
 
 def figure_inputs(config: Config, name: str) -> dict[str, Path]:
