@@ -56,7 +56,7 @@ format: $(READY)
 
 $(READY): requirements.lock pyproject.toml
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --requirement requirements.lock
+	$(BIN)/python -m pip install --no-deps --requirement requirements.lock # of all, see lock
 	$(BIN)/python -m pip install --no-deps --no-build-isolation --editable .
 	touch $@
 
