@@ -27,12 +27,13 @@ from warmlens.imaging.grid import PixelGrid  # noqa: E402
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source  # noqa: E402
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis  # noqa: E402
 from warmlens.lensing.rays import SmoothRays  # noqa: E402
-from warmlens.scan.maps import delta_r, residual_images, residual_maps  # noqa: E402
+from warmlens.scan.apply import delta_r, delta_r_and_response  # noqa: E402
+from warmlens.scan.maps import residual_images, residual_maps  # noqa: E402
 from warmlens.scan.nested import NestedShapelets  # noqa: E402
 from warmlens.scan.operator import OperatorShard, build_shard, project_band  # noqa: E402
 from warmlens.scan.perturber import Perturber  # noqa: E402
 from warmlens.scan.raster import Raster  # noqa: E402
-from warmlens.scan.response import expected_delta_r, linear_response  # noqa: E402
+from warmlens.scan.response import LinearResponse, expected_delta_r  # noqa: E402
 from warmlens.types import FloatArray  # noqa: E402
 
 QUASARS = ((-2.037, -0.520), (-2.076, 0.662), (-1.460, -1.632), (1.074, 0.356))
@@ -170,13 +171,17 @@ def measure(arguments: argparse.Namespace, wavelength: float, positions: FloatAr
     start = time.perf_counter()
     maps = delta_r(shard, sets, rays, PERTURBER, coefficients, tau)
     apply_seconds = (time.perf_counter() - start) / maps.size
-    linear_response(shard, sets, rays, PERTURBER, coefficients[:, :1], tau[:, :1])  # compile
+
+    def respond(x: FloatArray, residuals: FloatArray) -> LinearResponse:
+        return delta_r_and_response(shard, sets, rays, PERTURBER, x, residuals)[1]
+
+    respond(coefficients[:, :1], tau[:, :1])  # compile
     start = time.perf_counter()
-    response = linear_response(shard, sets, rays, PERTURBER, coefficients, tau)
-    amplitude_seconds = (time.perf_counter() - start) / maps.size
+    response = respond(coefficients, tau)
+    amplitude_seconds = (time.perf_counter() - start) / maps.size - apply_seconds
     clean = solve(model, data.mean(axis=1, keepdims=True))  # nearly without noise
     source = physical_coefficients(model, clean.coefficients)[: model.n_source]
-    quiet = linear_response(shard, sets, rays, PERTURBER, source, residual_images(clean, convolution, weights))
+    quiet = respond(source, residual_images(clean, convolution, weights))
     seen = quiet.fisher[:, 0] > 1.0  # where eps of the perturber is known at all
     mean = response.fisher[seen].mean(axis=1)
     attenuation = float(np.median(quiet.fisher[seen, 0] / mean))
@@ -225,8 +230,8 @@ def main() -> None:
         arguments.positions, arguments.direct = min(arguments.positions, 80), min(arguments.direct, 2)
 
     raster = Raster(4.0, 4.0, 0.05).coordinates()
-    chosen = np.sort(np.random.default_rng(1).permutation(len(raster))[: arguments.positions])
-    bands = [measure(arguments, wavelength, raster[chosen]) for wavelength in BANDS]
+    start = (len(raster) - arguments.positions) // 3  # through the arcs; a run of positions, as a shard is
+    bands = [measure(arguments, wavelength, raster[start:][: arguments.positions]) for wavelength in BANDS]
     design, build, fit, apply, amplitude, expected, attenuation, residuals, direct, n_bytes, _ = np.mean(
         bands, axis=0
     )

@@ -26,6 +26,8 @@ from warmlens.stages import (
 )
 from warmlens.stages.settings import stage_settings
 
+from ..shared import shared_folder
+
 ROOT = Path(__file__).parents[2]
 SMALL: dict[str, dict[str, Any]] = {
     "campaign": {"n_samples": 40, "chunk_size": 20},
@@ -59,7 +61,14 @@ def small_config(paper_config: Config, results: Path) -> Config:
 @pytest.fixture(scope="session")
 def campaign(paper_config: Config, tmp_path_factory: pytest.TempPathFactory) -> Config:
     """A finished campaign of 40 samples in two chunks; read it, do not change it."""
-    config = small_config(paper_config, tmp_path_factory.mktemp("campaign"))
+    with shared_folder(tmp_path_factory, "campaign_of_figures") as folder:
+        config = small_config(paper_config, folder)
+        if not stage_files(config, "abc")[0].exists():
+            _run(config)
+    return config
+
+
+def _run(config: Config) -> None:
     (Path(config.results) / CONFIG).write_text(config.model_dump_json())
 
     def one(stage: str) -> Path:
@@ -95,7 +104,6 @@ def campaign(paper_config: Config, tmp_path_factory: pytest.TempPathFactory) -> 
         folder / TABLE,
         folder / NUMBERS,
     )
-    return config
 
 
 @pytest.fixture(scope="session")

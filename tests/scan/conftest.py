@@ -10,7 +10,8 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.maps import delta_r, residual_images, residual_maps
+from warmlens.scan.apply import delta_r
+from warmlens.scan.maps import residual_images, residual_maps
 from warmlens.scan.nested import NestedShapelets
 from warmlens.scan.operator import BandProjection, build_shard, project_band
 from warmlens.scan.perturber import Perturber

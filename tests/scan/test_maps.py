@@ -7,7 +7,8 @@ import pytest
 
 from warmlens.fitting.linear import physical_coefficients, solve
 from warmlens.imaging.shapelets import pixel_basis
-from warmlens.scan.maps import delta_r, residual_images
+from warmlens.scan.apply import delta_r
+from warmlens.scan.maps import residual_images
 from warmlens.scan.nested import NestedShapelets
 
 

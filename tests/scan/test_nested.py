@@ -6,7 +6,7 @@ import pytest
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.nested import NestedShapelets, gathered, nested_basis, nested_columns, nested_points
+from warmlens.scan.nested import NestedShapelets, nested_basis, nested_block, nested_columns, nested_points
 from warmlens.scan.perturber import Perturber
 
 PAPER = Perturber(0.01, 0.1)
@@ -62,13 +62,27 @@ def test_columns_hold_all_images_and_leave_out_nothing(factor):
     pixels, columns = nested_columns(nested_basis(5, rays, PAPER), point)
     whole = pixel_basis((ShapeletSet(5, 0.04, 0.1, 0.03),), rays.source_x, rays.source_y)
     dense = np.zeros_like(whole)
-    dense[pixels] = columns
+    dense[pixels] = columns.T
     assert np.abs(dense - whole).max() < 1e-8 * np.abs(whole).max()
     assert pixels.size < 0.7 * whole.shape[0]
     for side in (1.0, -1.0):  # both images of the lens
         assert (side * rays.theta_x[pixels, 0] > 0.5).any()
-    rows = np.random.default_rng(1).normal(size=(whole.shape[0], 7))
-    np.testing.assert_allclose(gathered(pixels, columns, rows), dense.T @ rows, atol=1e-11)
+
+
+def test_columns_of_several_points_side_by_side():
+    rays, n = isothermal()
+    points = np.array([[0.1, 0.03, 0.04], [0.12, 0.03, 0.06], [-1.0, 0.5, 0.02]])
+    nested = nested_basis(2, rays, PAPER)
+    seen, block = nested_block(nested, points)
+    together = np.zeros((n * n, 18))
+    together[seen] = block.T
+    expected = np.zeros_like(together)
+    for i, point in enumerate(points):
+        pixels, columns = nested_columns(nested, point)
+        expected[pixels, 6 * i : 6 * i + 6] = columns.T
+    np.testing.assert_array_equal(together, expected)
+    assert np.array_equal(seen, np.flatnonzero(together.any(axis=1)))
+    assert nested_block(nested_basis(-1, rays, PAPER), points)[1].size == 0
 
 
 @pytest.mark.parametrize(

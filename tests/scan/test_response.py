@@ -7,6 +7,7 @@ import pytest
 
 from warmlens.fitting.linear import physical_coefficients, solve
 from warmlens.imaging.shapelets import pixel_basis
+from warmlens.scan.apply import delta_r, delta_r_and_response
 from warmlens.scan.maps import residual_images
 from warmlens.scan.operator import build_shard
 from warmlens.scan.perturber import Perturber, basis_change, basis_response, perturbed_basis
@@ -14,7 +15,6 @@ from warmlens.scan.response import (
     LinearResponse,
     detectable_theta_e,
     expected_delta_r,
-    linear_response,
     mass_within_truncation,
 )
 
@@ -35,6 +35,10 @@ def pieces(band, images):
     fit = solve(band.model, band.whiten(images))
     coefficients = physical_coefficients(band.model, fit.coefficients)[: band.model.n_source]
     return coefficients, residual_images(fit, band.convolution, band.weights)
+
+
+def linear_response(*arguments):
+    return delta_r_and_response(*arguments)[1]
 
 
 def respond(band, shard, images, perturber=None):
@@ -147,6 +151,24 @@ def test_shapes_are_checked(band, response_shard, mocks):
         linear_response(response_shard, band.sets, band.rays, band.perturber, coefficients[:5], tau)
     with pytest.raises(ValueError, match="tau"):
         linear_response(response_shard, band.sets, band.rays, band.perturber, coefficients, tau[:, :1])
+
+
+def test_delta_r_is_the_same_with_the_response(band, response_shard, mocks):
+    pieces_of = response_shard, band.sets, band.rays, band.perturber, *pieces(band, mocks)
+    np.testing.assert_array_equal(delta_r_and_response(*pieces_of)[0], delta_r(*pieces_of))
+
+
+def test_slope_is_that_of_the_basis(band, response_shard, mocks):
+    """Without nested shapelets in K and R: F = delta'.K delta' with dB' of the operator's central difference."""
+    coefficients, tau = pieces(band, mocks[:2])
+    shard = build(band, response_shard.positions, None)
+    found = linear_response(shard, band.sets, band.rays, band.perturber, coefficients, tau)
+    basis = perturbed_basis(band.sets, band.rays, band.perturber)
+    for position in np.flatnonzero(np.diff(shard.pixel_offsets))[::7]:
+        moved = shard.pixels[slice(*shard.pixel_offsets[position : position + 2])]
+        slope = basis_response(basis, *shard.positions[position], moved).T @ coefficients
+        scale = np.abs(slope).max() * np.abs(tau[moved]).max() * moved.size
+        np.testing.assert_allclose(found.score[position], np.sum(slope * tau[moved], axis=0), atol=1e-7 * scale)
 
 
 def test_response_changes_nothing_else(nested_shard, response_shard):

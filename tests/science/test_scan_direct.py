@@ -21,7 +21,8 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source, validate_psf
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.maps import ResidualMaps, delta_r, residual_images, residual_maps
+from warmlens.scan.apply import delta_r
+from warmlens.scan.maps import ResidualMaps, residual_images, residual_maps
 from warmlens.scan.nested import NestedShapelets
 from warmlens.scan.operator import OperatorShard, build_shard, project_band
 from warmlens.scan.perturber import Perturber

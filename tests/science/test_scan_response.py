@@ -16,11 +16,12 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.maps import delta_r, residual_images
+from warmlens.scan.apply import delta_r, delta_r_and_response
+from warmlens.scan.maps import residual_images
 from warmlens.scan.nested import NestedShapelets
 from warmlens.scan.operator import build_shard, project_band
 from warmlens.scan.perturber import Perturber
-from warmlens.scan.response import LinearResponse, expected_delta_r, linear_response
+from warmlens.scan.response import LinearResponse, expected_delta_r
 
 PERTURBER = Perturber(0.01, 0.1)
 NESTED = NestedShapelets(5, 1e-5, (0.02, 0.1))
@@ -100,7 +101,7 @@ class Scene:
         return coefficients, residual_images(fit, self.convolution, self.weights)
 
     def response(self, shard, images):
-        return linear_response(shard, self.sets, self.rays, PERTURBER, *self.fit(images))
+        return delta_r_and_response(shard, self.sets, self.rays, PERTURBER, *self.fit(images))[1]
 
     def columns(self, center, theta_e, point):
         """Whitened columns and square roots of their priors; None leaves the nested shapelets out."""

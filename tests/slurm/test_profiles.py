@@ -18,6 +18,6 @@ def test_executor_gives_the_same_digests_and_shares_allocations(local: Project, 
     campaign.run_with_executor("--group-components", "operator=2", "chunk=2")
     assert campaign.project.digests() == local.digests()
     jobs = campaign.cluster.finished()[before:]
-    # both chunks, abc; from nothing also lens, operator, observed, null test
+    # chunks, abc; from nothing also lens, operator, observed, null test
     assert len(jobs) == (6 if FROM_NOTHING else 2), jobs
     assert all("JobState=COMPLETED" in job and "Tres=cpu=1," in job for job in jobs), jobs

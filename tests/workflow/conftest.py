@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import subprocess
 import sys
@@ -17,6 +16,7 @@ import yaml
 from warmlens.artifacts import open_artifact
 from warmlens.layout import REPORT
 
+from ..shared import shared_folder
 from . import forked
 
 ROOT = Path(__file__).parents[2]
@@ -105,15 +105,10 @@ def make_project(folder: Path) -> Project:
 
 def finished_campaign(tmp_path_factory: pytest.TempPathFactory) -> Project:
     """The finished campaign of a test run: the first process that asks for it runs it, the others wait."""
-    base = tmp_path_factory.getbasetemp()
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        base = base.parent  # of all processes
-    project = Project(base / "finished")
-    with (base / "finished.lock").open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        if not project.folder.exists():
-            project.folder.mkdir()
-            make_project(project.folder)
+    with shared_folder(tmp_path_factory, "finished") as folder:
+        project = Project(folder)
+        if not any(folder.iterdir()):
+            make_project(folder)
         if not (project.results / REPORT).exists():
             project.snakemake(COMPILING, cores=1)  # or two jobs at a time would each compile the same
             project.snakemake(cores=2)

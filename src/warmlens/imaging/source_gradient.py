@@ -24,6 +24,22 @@ def source_gradient(
     -------
     tuple
         Two arrays of the shape of `x`, in the unit of the coefficients per arcsec.
+    """
+    raised, along_x, along_y = gradient_sets(sets, coefficients)
+    return surface_brightness(raised, along_x, x, y), surface_brightness(raised, along_y, x, y)
+
+
+def gradient_sets(
+    sets: Sequence[ShapeletSet], coefficients: FloatArray
+) -> tuple[tuple[ShapeletSet, ...], FloatArray, FloatArray]:
+    """The gradient as shapelets: sets one order higher, and coefficients of dS/dx and dS/dy.
+
+    Parameters
+    ----------
+    sets
+        Shapelet sets of the source.
+    coefficients
+        [n_coef], or [n_coef, k] of k sources; those of the gradient likewise.
 
     Notes
     -----
@@ -36,20 +52,18 @@ def source_gradient(
         stop = start + item.n_coefficients
         higher = ShapeletSet(item.n_max + 1, item.beta, item.center_x, item.center_y)
         n1, n2 = np.array(item.orders()).T
-        table = np.zeros((item.n_max + 3, item.n_max + 3))  # coefficients as [n1, n2], with a margin of zeros
+        # coefficients as [n1, n2], with a margin of zeros
+        table = np.zeros((item.n_max + 3, item.n_max + 3, *coefficients.shape[1:]))
         table[n1, n2] = coefficients[start:stop]
         n1, n2 = np.array(higher.orders()).T
         along_x.append(_derivative(table, n1, n2) / item.beta)
-        along_y.append(_derivative(table.T, n2, n1) / item.beta)
+        along_y.append(_derivative(np.swapaxes(table, 0, 1), n2, n1) / item.beta)
         raised.append(higher)
         start = stop
-    return (
-        surface_brightness(raised, np.concatenate(along_x), x, y),
-        surface_brightness(raised, np.concatenate(along_y), x, y),
-    )
+    return tuple(raised), np.concatenate(along_x), np.concatenate(along_y)
 
 
 def _derivative(table: FloatArray, n: np.ndarray, other: np.ndarray) -> FloatArray:
     """Coefficients of the derivative along the first axis: c'_n = sqrt((n+1)/2) c_(n+1) - sqrt(n/2) c_(n-1)."""
-    below = np.where(n > 0, table[n - 1, other], 0.0)
-    return np.sqrt(0.5 * (n + 1)) * table[n + 1, other] - np.sqrt(0.5 * n) * below
+    up, down = (np.sqrt(0.5 * factor).reshape(-1, *[1] * (table.ndim - 2)) for factor in (n + 1, n))
+    return up * table[n + 1, other] - down * table[n - 1, other]  # for n = 0 down is 0

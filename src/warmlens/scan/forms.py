@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from warmlens.scan.nested import at_point, gathered, nested_columns
+from warmlens.scan.nested import at_point
 from warmlens.scan.perturber import PerturbedBasis, basis_change, basis_response
 from warmlens.types import FloatArray, IntArray
 
@@ -33,38 +33,38 @@ def fill_change(
 
 
 @njit(cache=True)
-def fill_rows(
-    nested: PerturbedBasis,
-    points: FloatArray,
-    projected: FloatArray,
-    solved: FloatArray,
+def stack_rows(
     pixel_offsets: IntArray,
-    pixels: IntArray,
     first: int,
     last: int,
-    rows: FloatArray,
-    images: FloatArray,
-) -> None:
-    """Rows Z = [Y, -G_E, -G N_s]^T [sum of 2m + n_nested, n] and images of N_s, position after position.
+    n_nested: int,
+    solved: FloatArray,
+    pixel_rows: FloatArray,
+    nested_rows: FloatArray,
+    place: IntArray,
+) -> FloatArray:
+    """Rows Z^T = [Y, -G_E, -G N_s]^T of the positions first..last-1 [sum of 2m + n_nested, n].
 
-    `solved` holds Y^T [moved pixels, n]; `images` is [positions that move something, n_nested, npix], zero before.
+    `solved` holds Y^T [moved pixels, n], `pixel_rows` G^T of the pixels among them, those of each at `place`, and
+    `nested_rows` (G N_s)^T of the positions that move something; or the same of any matrix times these.
     """
-    base, row, active = pixel_offsets[first], 0, 0
+    base = pixel_offsets[first]
+    out = np.empty((2 * solved.shape[0] + nested_rows.shape[0], solved.shape[1]))
+    row, done = 0, 0
     for position in range(first, last):
-        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
-        m = stop - start
+        start, m = pixel_offsets[position] - base, pixel_offsets[position + 1] - pixel_offsets[position]
         if m == 0:
             continue
-        rows[row : row + m] = solved[start - base : stop - base]
         for i in range(m):
-            rows[row + m + i] = -projected[pixels[start + i]]
-        if nested.n_coef > 0:
-            seen, columns = nested_columns(nested, points[position])
-            rows[row + 2 * m : row + 2 * m + nested.n_coef] = -gathered(seen, columns, projected)
-            for i in range(seen.size):
-                images[active, :, seen[i]] = columns[i]
-        row += 2 * m + nested.n_coef
-        active += 1
+            for k in range(out.shape[1]):
+                out[row + i, k] = solved[start + i, k]
+                out[row + m + i, k] = -pixel_rows[place[start + i], k]
+        for i in range(n_nested):
+            for k in range(out.shape[1]):
+                out[row + 2 * m + i, k] = -nested_rows[done + i, k]
+        row += 2 * m + n_nested
+        done += n_nested
+    return out
 
 
 @njit(cache=True)
@@ -222,25 +222,29 @@ def _subtract_overlap(block: FloatArray, overlap: FloatArray, n_columns: int, mo
                 block[i, j] -= S_ij
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(cache=True)
 def _seen_through(psf: FloatArray, weights: FloatArray, V: FloatArray, moved: IntArray) -> FloatArray:
-    """U^T V = (P^T W V)_E [m, n_nested]: summed directly, since only the m moved pixels are wanted."""
+    """U^T V [m, n_nested]: U = W P E and V on the window of the image that the moved pixels' light reaches."""
     n_rows, n_columns = weights.shape
     middle_y, middle_x = psf.shape[0] // 2, psf.shape[1] // 2
-    out = np.zeros((moved.size, V.shape[0]))
-    for item in range(V.shape[0]):
-        image = weights * V[item].reshape(n_rows, n_columns)
-        for i in range(moved.size):
-            row, column = moved[i] // n_columns, moved[i] % n_columns
-            left, right = max(0, column - middle_x), min(n_columns, column + middle_x + 1)
-            shift = middle_x - column
-            total = 0.0
-            for y in range(max(0, row - middle_y), min(n_rows, row + middle_y + 1)):
-                kernel, line = psf[y - row + middle_y], image[y]
-                for x in range(left, right):
-                    total += kernel[x + shift] * line[x]
-            out[i, item] = total
-    return out
+    rows, columns = moved // n_columns, moved % n_columns
+    top, bottom = max(0, rows.min() - middle_y), min(n_rows, rows.max() + middle_y + 1)
+    left, right = max(0, columns.min() - middle_x), min(n_columns, columns.max() + middle_x + 1)
+    width = right - left
+    U = np.zeros((moved.size, (bottom - top) * width))  # transposed
+    for i in range(moved.size):
+        start, stop = max(left, columns[i] - middle_x), min(right, columns[i] + middle_x + 1)
+        for y in range(max(top, rows[i] - middle_y), min(bottom, rows[i] + middle_y + 1)):
+            for x in range(start, stop):
+                U[i, (y - top) * width + x - left] = (
+                    weights[y, x] * psf[y - rows[i] + middle_y, x - columns[i] + middle_x]
+                )
+    seen = np.empty((V.shape[0], U.shape[1]))
+    for k in range(V.shape[0]):
+        for y in range(top, bottom):
+            for x in range(left, right):
+                seen[k, (y - top) * width + x - left] = V[k, y * n_columns + x]
+    return np.dot(U, seen.T)
 
 
 @njit(cache=True)

@@ -151,29 +151,14 @@ def at_point(nested: PerturbedBasis, point: FloatArray) -> PerturbedBasis:
 
 @njit(cache=True)
 def nested_columns(nested: PerturbedBasis, point: FloatArray) -> tuple[IntArray, FloatArray]:
-    """N_s of docs/scan.md where it is not negligible: pixels [n_seen], ascending, and columns [n_seen, n_coef].
-
-    All images of the source point count, not only the one that is perturbed. A function of order n has fallen
-    below 1e-8 of its maximum 4.5 scales beyond its turning point sqrt(2n + 1); pixels without a sub-pixel
-    within that are left out.
-    """
+    """N_s^T of docs/scan.md where it is not negligible: ascending pixels [n_seen], functions [n_coef, n_seen]."""
     basis = at_point(nested, point)
-    reach = (point[2] * (math.sqrt(2.0 * basis.packed[0, 0] + 1.0) + 4.5)) ** 2
-    npix, n_sub = basis.source_x.shape
-    pixels = np.empty(npix, dtype=np.int64)
-    count = 0
-    for pixel in range(npix):
-        for sub in range(n_sub):
-            dx, dy = basis.source_x[pixel, sub] - point[0], basis.source_y[pixel, sub] - point[1]
-            if dx * dx + dy * dy < reach:
-                pixels[count] = pixel
-                count += 1
-                break
-    pixels = pixels[:count].copy()
-    columns = np.empty((count, basis.n_coef))
+    pixels = _seen_from(basis, point)
+    n_sub = basis.source_x.shape[1]
+    columns = np.empty((basis.n_coef, pixels.size))
     weights = np.full(n_sub, 1.0 / n_sub)
-    for first in range(0, count, _BLOCK_PIXELS):
-        last = min(first + _BLOCK_PIXELS, count)
+    for first in range(0, pixels.size, _BLOCK_PIXELS):
+        last = min(first + _BLOCK_PIXELS, pixels.size)
         x, y = np.empty((n_sub, last - first)), np.empty((n_sub, last - first))
         for i in range(first, last):
             for sub in range(n_sub):
@@ -181,24 +166,58 @@ def nested_columns(nested: PerturbedBasis, point: FloatArray) -> tuple[IntArray,
                 y[sub, i - first] = basis.source_y[pixels[i], sub]
         block = np.zeros((basis.n_coef, last - first))
         add_basis(basis.packed, basis.factors, x, y, weights, block)
-        for i in range(first, last):
-            for coefficient in range(basis.n_coef):
-                columns[i, coefficient] = block[coefficient, i - first]
+        for coefficient in range(basis.n_coef):
+            for i in range(first, last):
+                columns[coefficient, i] = block[coefficient, i - first]
     return pixels, columns
 
 
 @njit(cache=True)
-def gathered(pixels: IntArray, columns: FloatArray, rows: FloatArray) -> FloatArray:
-    """columns^T rows[pixels] [n_coef, k] for the sparse columns of `nested_columns` and rows [npix, k].
+def _seen_from(nested: PerturbedBasis, point: FloatArray) -> IntArray:
+    """Pixels with a ray near (source x, source y), as the scale counts, ascending.
 
-    Runs of neighbouring pixels are multiplied where they lie: a copy of the rows would cost more than the product.
+    All images of the source point count, not only the one that is perturbed. A function of order n has fallen
+    below 1e-8 of its maximum 4.5 scales beyond its turning point sqrt(2n + 1); pixels without a sub-pixel
+    within that are left out.
     """
-    out = np.zeros((columns.shape[1], rows.shape[1]))
-    start = 0
-    while start < pixels.size:
-        stop = start + 1
-        while stop < pixels.size and pixels[stop] == pixels[stop - 1] + 1:
-            stop += 1
-        out += np.dot(columns[start:stop].T, rows[pixels[start] : pixels[start] + stop - start])
-        start = stop
-    return out
+    reach = (point[2] * (math.sqrt(2.0 * nested.packed[0, 0] + 1.0) + 4.5)) ** 2
+    npix, n_sub = nested.source_x.shape
+    pixels = np.empty(npix, dtype=np.int64)
+    count = 0
+    for pixel in range(npix):
+        for sub in range(n_sub):
+            dx, dy = nested.source_x[pixel, sub] - point[0], nested.source_y[pixel, sub] - point[1]
+            if dx * dx + dy * dy < reach:
+                pixels[count] = pixel
+                count += 1
+                break
+    return pixels[:count].copy()
+
+
+@njit(cache=True)
+def nested_block(nested: PerturbedBasis, points: FloatArray) -> tuple[IntArray, FloatArray]:
+    """N_s^T of several points one below the other, on all pixels that see one of them.
+
+    Neighbouring positions see nearly the same pixels: one product with a dense matrix is faster than one for each.
+
+    Returns
+    -------
+    tuple
+        Pixels [n_seen], ascending, and functions [n_points * n_coef, n_seen], 0 where `nested_columns` leaves out.
+    """
+    if nested.n_coef == 0:
+        return np.empty(0, dtype=np.int64), np.empty((0, 0))
+    rows = np.full(nested.source_x.shape[0], -1, dtype=np.int64)
+    for i in range(points.shape[0]):
+        for pixel in _seen_from(nested, points[i]):
+            rows[pixel] = 0
+    seen = np.flatnonzero(rows == 0)
+    for row in range(seen.size):
+        rows[seen[row]] = row
+    columns = np.zeros((points.shape[0] * nested.n_coef, seen.size))
+    for i in range(points.shape[0]):
+        pixels, part = nested_columns(nested, points[i])
+        for coefficient in range(nested.n_coef):
+            for k in range(pixels.size):
+                columns[i * nested.n_coef + coefficient, rows[pixels[k]]] = part[coefficient, k]
+    return seen, columns

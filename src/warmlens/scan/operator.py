@@ -9,7 +9,6 @@ S = U^T U, whose elements are read from a table made by convolution (`BandProjec
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from scipy import linalg
@@ -18,12 +17,11 @@ from warmlens.fitting.linear import LinearModel
 from warmlens.imaging.psf import Convolution
 from warmlens.imaging.shapelets import ShapeletSet
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.forms import fill_change, fill_forms, fill_rows
-from warmlens.scan.nested import NestedShapelets, nested_basis, nested_points
-from warmlens.scan.perturber import Perturber, moved_pixels, perturbed_basis
+from warmlens.scan.forms import fill_change, fill_forms, stack_rows
+from warmlens.scan.nested import NestedShapelets, nested_basis, nested_block, nested_points
+from warmlens.scan.perturber import Perturber, moved_pixels, perturbed_basis, position_blocks
 from warmlens.types import FloatArray, IntArray
 
-_BLOCK_ROWS = 512  # moved pixels whose Y is computed in one triangular product
 _BLOCK_COLUMNS = 128
 
 
@@ -236,33 +234,38 @@ def build_shard(
     response_offsets = _response_offsets(pixel_offsets, n_nested)
     responses = np.empty(response_offsets[-1] if response else 0)
     response_noise = np.zeros(positions.shape[0] if response else 0)
-    for first, last in _position_blocks(pixel_offsets):
-        change = np.zeros((int(pixel_offsets[last] - pixel_offsets[first]), model.design.shape[1]))
+    sqrt_prior = np.sqrt(model.prior)
+
+    def with_prior(rows: FloatArray) -> FloatArray:
+        """(Lambda^1/2 L^-T Z)^T of rows Z^T."""
+        return _triangular_product(model.inverse_factor, rows.copy(), transposed=True) * sqrt_prior
+
+    for first, last in position_blocks(pixel_offsets):
+        here = pixels[pixel_offsets[first] : pixel_offsets[last]]
+        change = np.zeros((here.size, model.design.shape[1]))
         fill_change(basis, positions, pixel_offsets, pixels, first, last, False, change)
         change[:, :n_source] /= model.column_norms[:n_source]  # dB, columns that do not move included
         solved = _triangular_product(model.inverse_factor, change, transposed=False)  # Y^T = dB L^-T
-        rows = np.empty((int(sizes[first:last].sum()), model.design.shape[1]))
-        images = np.zeros((np.count_nonzero(moved[first:last]), n_nested, weights.size))
-        fill_rows(
-            extra, points, projection.projected, solved, pixel_offsets, pixels, first, last, rows, images
-        )  # fmt: skip
+        different, place = np.unique(here, return_inverse=True)  # several positions move the same pixels
+        active = moved[first:last] > 0
+        seen, columns = nested_block(extra, points[first:last][active])  # N_s^T
+        parts = solved, projection.projected[different], columns @ projection.projected[seen]
+        rows = stack_rows(pixel_offsets, first, last, n_nested, *parts, place)
+        prior_rows = stack_rows(pixel_offsets, first, last, n_nested, *map(with_prior, parts), place)
+        images = np.zeros((columns.shape[0], weights.size))
+        images[:, seen] = columns
         convolved = weights * convolution.forward(images.reshape(-1, *weights.shape))  # V_s = W P N_s
-        prior_rows = _triangular_product(model.inverse_factor, rows.copy(), transposed=True)  # (L^-T Z)^T
-        prior_rows *= np.sqrt(model.prior)
-        slopes = np.zeros((change.shape[0] if response else 0, change.shape[1]))
+        slopes = np.zeros((here.size if response else 0, change.shape[1]))
         if response:
             fill_change(basis, positions, pixel_offsets, pixels, first, last, True, slopes)
             slopes[:, :n_source] /= model.column_norms[:n_source]
             slopes = _triangular_product(model.inverse_factor, slopes, transposed=False)  # Y'^T = dB' L^-T
-        prior_slopes = (
-            _triangular_product(model.inverse_factor, slopes.copy(), transposed=True) if response else slopes
-        )
-        prior_slopes = prior_slopes * np.sqrt(model.prior)
+        shape = np.count_nonzero(active), n_nested, weights.size
         degenerate = fill_forms(
             extra, points, positions, 0.0 if nested is None else nested.ridge, convolution.psf, weights,
-            projection.overlap, rows, prior_rows, slopes, prior_slopes, images, convolved.reshape(images.shape),
-            pixel_offsets, pixels, first, last, matrix_offsets, matrices, sensitivity, nested_inverse,
-            response_offsets, responses, response_noise,
+            projection.overlap, rows, prior_rows, slopes, with_prior(slopes), images.reshape(shape),
+            convolved.reshape(shape), pixel_offsets, pixels, first, last, matrix_offsets, matrices, sensitivity,
+            nested_inverse, response_offsets, responses, response_noise,
         )  # fmt: skip
         if degenerate >= 0:
             x, y = positions[degenerate]
@@ -278,14 +281,8 @@ def build_shard(
 
 def _triangular_product(inverse_factor: FloatArray, rows: FloatArray, *, transposed: bool) -> FloatArray:
     """L^-1 (or L^-T) times each row of a C-ordered [k, n], in place."""
+    if not rows.size:
+        return rows
     return linalg.blas.dtrmm(
         1.0, inverse_factor.T, rows.T, side=0, lower=0, trans_a=int(not transposed), overwrite_b=1
     ).T
-
-
-def _position_blocks(pixel_offsets: IntArray) -> list[tuple[int, int]]:
-    """Runs [first, last) of one or more positions with about _BLOCK_ROWS moved pixels each."""
-    n_blocks = int(pixel_offsets[-1]) // _BLOCK_ROWS + 1
-    edges = np.searchsorted(pixel_offsets, np.linspace(0, pixel_offsets[-1], n_blocks + 1))
-    edges[0], edges[-1] = 0, pixel_offsets.size - 1
-    return [(int(a), int(b)) for a, b in pairwise(edges) if a < b]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ from warmlens.imaging.shapelets import (
 from warmlens.lensing.rays import SmoothRays
 from warmlens.types import BoolArray, FloatArray, IntArray
 
+_BLOCK_ROWS = 512  # moved pixels of the positions that are worked on together
 _STEP = 2e-5  # of r_trunc: deflections on both sides of 0 for the derivative by the amplitude
 
 
@@ -146,6 +148,14 @@ def _difference(
     difference = np.zeros((basis.n_coef, moved.size))
     add_basis(basis.packed, basis.factors, x, y, weights, difference)
     return difference
+
+
+def position_blocks(pixel_offsets: IntArray) -> list[tuple[int, int]]:
+    """Runs [first, last) of one or more positions with about `_BLOCK_ROWS` moved pixels each."""
+    n_blocks = int(pixel_offsets[-1]) // _BLOCK_ROWS + 1
+    edges = np.searchsorted(pixel_offsets, np.linspace(0, pixel_offsets[-1], n_blocks + 1))
+    edges[0], edges[-1] = 0, pixel_offsets.size - 1
+    return [(int(a), int(b)) for a, b in pairwise(edges) if a < b]
 
 
 @njit(cache=True)

@@ -12,18 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from warmlens.imaging.shapelets import ShapeletSet
+from warmlens.imaging.shapelets import ShapeletSet, n_coefficients
 from warmlens.lensing.rays import SmoothRays
 from warmlens.scan.forms import unpack
-from warmlens.scan.nested import gathered, nested_basis, nested_columns
 from warmlens.scan.operator import OperatorShard
-from warmlens.scan.perturber import (
-    PerturbedBasis,
-    Perturber,
-    basis_change,
-    basis_response,
-    perturbed_basis,
-)
+from warmlens.scan.perturber import PerturbedBasis, Perturber, basis_change, perturbed_basis
 from warmlens.types import FloatArray, IntArray
 
 
@@ -66,42 +59,6 @@ class LinearResponse:
         return np.divide(self.score, np.sqrt(self.fisher), out=out, where=self.fisher > 0.0)
 
 
-def linear_response(
-    shard: OperatorShard,
-    sets: tuple[ShapeletSet, ...],
-    rays: SmoothRays,
-    perturber: Perturber,
-    source_coefficients: FloatArray,
-    tau: FloatArray,
-) -> LinearResponse:
-    """Score and Fisher information of every position and mock, one band [n_positions, k]; noise [n_positions, 1].
-
-    Parameters
-    ----------
-    shard, sets, rays, perturber, source_coefficients, tau
-        As for `warmlens.scan.maps.delta_r`; the shard built with its response.
-    """
-    basis = perturbed_basis(sets, rays, perturber)
-    _check(shard, basis, source_coefficients)
-    if tau.shape != (rays.theta_x.shape[0], source_coefficients.shape[1]):
-        raise ValueError(
-            f"tau must be [npix, k] = [{rays.theta_x.shape[0]}, {source_coefficients.shape[1]}], got {tau.shape}"
-        )
-    score, fisher = _respond(
-        basis,
-        nested_basis(shard.nested_n_max, rays, perturber),
-        shard.positions,
-        shard.points,
-        shard.pixel_offsets,
-        shard.pixels,
-        shard.response_offsets,
-        shard.responses,
-        np.ascontiguousarray(source_coefficients, dtype=np.float64),
-        np.ascontiguousarray(tau, dtype=np.float64),
-    )
-    return LinearResponse(score, fisher, shard.response_noise[:, None])
-
-
 def expected_delta_r(
     shard: OperatorShard,
     sets: tuple[ShapeletSet, ...],
@@ -119,7 +76,8 @@ def expected_delta_r(
     Parameters
     ----------
     shard, sets, rays, perturber
-        As for `linear_response`; the perturber's own theta_e does not matter.
+        As for `warmlens.scan.apply.delta_r`, the shard built with its response. The perturber's own theta_e does
+        not matter.
     theta_e
         Deflections inside r_trunc [arcsec], [n].
     source_coefficients
@@ -131,7 +89,12 @@ def expected_delta_r(
         [n, n_positions], 0 where the perturber moves no unmasked pixel.
     """
     source_coefficients = np.ascontiguousarray(source_coefficients, dtype=np.float64)
-    _check(shard, perturbed_basis(sets, rays, perturber), source_coefficients[:, None])
+    check_response(shard)
+    if source_coefficients.shape != (n_coefficients(sets),):
+        raise ValueError(
+            f"source_coefficients must be [n_source] = [{n_coefficients(sets)}] for these sets, "
+            f"got {source_coefficients.shape}"
+        )
     return np.stack(
         [
             -_improvement(
@@ -187,54 +150,16 @@ def mass_within_truncation(theta_e: FloatArray, r_trunc: float, sigma_crit: floa
     return np.pi * theta_e * r_trunc * sigma_crit
 
 
-def _check(shard: OperatorShard, basis: PerturbedBasis, source_coefficients: FloatArray) -> None:
+def check_response(shard: OperatorShard) -> None:
+    """Refuse a shard without what the linear response needs.
+
+    Raises
+    ------
+    ValueError
+        If the shard was built or read without it.
+    """
     if shard.responses.size != shard.response_offsets[-1]:
         raise ValueError("the shard has no linear response; build it and read it with")
-    if source_coefficients.ndim != 2 or source_coefficients.shape[0] != basis.n_coef:
-        raise ValueError(
-            f"source_coefficients must have n_source = {basis.n_coef} rows for these sets, "
-            f"got {source_coefficients.shape}"
-        )
-
-
-@njit(cache=True)
-def _respond(
-    basis: PerturbedBasis,
-    nested: PerturbedBasis,
-    positions: FloatArray,
-    points: FloatArray,
-    pixel_offsets: IntArray,
-    pixels: IntArray,
-    response_offsets: IntArray,
-    responses: FloatArray,
-    coefficients: FloatArray,
-    tau: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    n_fits = coefficients.shape[1]
-    score, fisher = np.zeros((positions.shape[0], n_fits)), np.zeros((positions.shape[0], n_fits))
-    for position in range(positions.shape[0]):
-        moved = pixels[pixel_offsets[position] : pixel_offsets[position + 1]]
-        m = moved.size
-        if m == 0:
-            continue
-        start, stop = response_offsets[position], response_offsets[position + 1]
-        v = np.empty((2 * m, n_fits))  # [delta'; t] of the smooth fit
-        change = basis_response(basis, positions[position, 0], positions[position, 1], moved)
-        v[:m] = np.dot(change.T, coefficients)  # delta' = dB' x
-        for i in range(m):
-            v[m + i] = tau[moved[i]]
-        if nested.n_coef > 0:
-            seen, columns = nested_columns(nested, points[position])
-            R = responses[start + m * (m + 1) // 2 : stop].copy().reshape(2 * m, nested.n_coef)
-            v += np.dot(R, gathered(seen, columns, tau))  # of the fit with the nested shapelets
-        Kd = np.dot(unpack(responses, start, m), v[:m])
-        for i in range(m):
-            for fit in range(n_fits):
-                score[position, fit] += v[i, fit] * v[m + i, fit]  # s = t . delta'
-                fisher[position, fit] += v[i, fit] * Kd[i, fit]  # F = delta' . K delta'
-        for fit in range(n_fits):
-            fisher[position, fit] = max(fisher[position, fit], 0.0)
-    return score, fisher
 
 
 @njit(cache=True)

@@ -14,12 +14,12 @@ import numpy as np
 from warmlens.artifacts import Artifact, ArtifactError, Dataset, Provenance, open_artifact, write_artifact
 from warmlens.fitting.linear import LinearFit, physical_coefficients, solve
 from warmlens.imaging.observation import Observation
-from warmlens.scan.maps import delta_r, residual_images, residual_maps
+from warmlens.scan.apply import delta_r, delta_r_and_response
+from warmlens.scan.maps import residual_images, residual_maps
 from warmlens.scan.response import (
     LinearResponse,
     detectable_theta_e,
     expected_delta_r,
-    linear_response,
     mass_within_truncation,
 )
 from warmlens.stages.halos import geometry
@@ -139,33 +139,36 @@ class Scanner:
             with open_artifact(path, "scan_operator") as artifact:
                 shard = read_shard(artifact, name, sensitivity=residual_rows.size > 0)
                 self._check_positions(artifact, shard.positions)
-            maps.append(delta_r(shard, sets, rays, self._perturber, coefficients, tau))
+            if self._amplitude:
+                found, response = delta_r_and_response(shard, sets, rays, self._perturber, coefficients, tau)
+                responses.append(response)
+            else:
+                found = delta_r(shard, sets, rays, self._perturber, coefficients, tau)
+            maps.append(found)
             valid.append(np.diff(shard.pixel_offsets) > 0)
             if residual_rows.size:
                 residuals.append(
                     residual_maps(shard, linear, chosen, sets, rays, self._perturber, convolution, band.weights)
                 )
-            if self._amplitude:
-                responses.append(linear_response(shard, sets, rays, self._perturber, coefficients, tau))
             if theta_e:
                 expected.append(expected_delta_r(shard, sets, rays, self._perturber, theta_e, coefficients[:, 0]))
             left = (time.monotonic() - start) / count * (len(self._shards) - count)
             log.info("%s: shard %d of %d, %.0f s left", name, count, len(self._shards), left)
         shape = self.raster.shape
         names = _RESIDUALS if residual_rows.size else {}
-        response = None
+        together = None
         if self._amplitude:
             score, fisher, noise = (
                 np.concatenate([getattr(part, name) for part in responses]).T.reshape(-1, *shape)
                 for name in ("score", "fisher", "noise")
             )
-            response = LinearResponse(score, fisher, noise[0])
+            together = LinearResponse(score, fisher, noise[0])
         return BandScan(
             np.concatenate(maps).T.reshape(len(images), *shape),
             fit.chi2,
             np.concatenate(valid).reshape(shape),
             {n: np.concatenate([getattr(part, n) for part in residuals]).T.reshape(-1, *shape) for n in names},
-            response,
+            together,
             np.concatenate(expected, axis=1).reshape(-1, *shape) if theta_e else None,
         )
 
