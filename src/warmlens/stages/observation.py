@@ -12,7 +12,7 @@ import numpy as np
 from warmlens.artifacts import Dataset, Provenance, open_artifact, write_artifact
 from warmlens.campaign import stream
 from warmlens.config_file import expand_path
-from warmlens.config_observation import FitsBandBlock, ObservationBlock, SimulatedBandBlock, SimulatedBlock
+from warmlens.config_observation import FitsBandBlock, ObservationBlock, SimulatedBlock
 from warmlens.config_types import ConfigError
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import subpixel_field
@@ -138,12 +138,7 @@ def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Data
     _, lens = geometry(settings.cosmology, settings.redshifts)
     host = smooth_host(generator, truth.log10_m_halo_msun, realization.f_sub) if filters.smooth_host else None
     delta = filtered_deflection(realization.subhalos, grid, lens, filters.filter_arcsec, filters.filter, host)
-    x, y = grid.subpixel_coordinates(block.supersampling)
-    alpha = deflection(block.lens.lens_model_list, block.lens.kwargs_lens, x, y)
-    rays = np.array([x, y]) - alpha - subpixel_field(delta, block.supersampling)
-    bands = tuple(
-        _simulated_band(name, block, block.bands[name], grid, rays) for name in settings.observation.bands
-    )
+    bands = tuple(_simulated_band(name, block, grid, delta) for name in settings.observation.bands)
     log.info("simulated %d bands with %d subhaloes", len(bands), len(realization.subhalos.m_bound))
     extra = {
         "truth/delta_alpha": Dataset(
@@ -153,11 +148,31 @@ def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Data
     return Observation("simulated", grid, bands), extra
 
 
-def _simulated_band(
-    name: str, block: SimulatedBlock, band: SimulatedBandBlock, grid: PixelGrid, rays: FloatArray
-) -> Band:
+def _simulated_band(name: str, block: SimulatedBlock, grid: PixelGrid, delta_alpha: FloatArray) -> Band:
+    clean, psf = true_image(name, block, grid, delta_alpha)
+    noise = NoiseModel(block.bands[name].background_rms, block.bands[name].exposure_s)
+    image = noise.draw(clean, clean, stream(block.truth.seed, "observation", 0, name))
+    mask = np.ones(grid.shape, dtype=bool)
+    return checked_band(name, grid, image, noise.sigma(image), mask, psf, noise)
+
+
+def true_image(
+    name: str, block: SimulatedBlock, grid: PixelGrid, delta_alpha: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Image [ny, nx] [e-/s per pixel] of a band before noise, and its PSF.
+
+    Parameters
+    ----------
+    name, block, grid
+        Band, its simulation and the pixels.
+    delta_alpha
+        What the substructure adds to the deflection, [2, ny, nx] [arcsec].
+    """
+    band = block.bands[name]
+    x, y = grid.subpixel_coordinates(block.supersampling)
+    alpha = deflection(block.lens.lens_model_list, block.lens.kwargs_lens, x, y)
+    rays = np.array([x, y]) - alpha - subpixel_field(delta_alpha, block.supersampling)
     psf = hst_like_psf(band.wavelength_nm, grid.pixel_scale, block.psf_pixels)
-    convolution = Convolution(psf, grid.shape)
     rng = stream(block.source.seed, "source", 0)
     source = SpiralSource.draw(
         block.source.center,
@@ -178,8 +193,4 @@ def _simulated_band(
         flux * point_source(psf, grid, qx, qy)
         for flux, (qx, qy) in zip(band.quasar_fluxes, block.quasar_images, strict=True)
     )
-    noise = NoiseModel(band.background_rms, band.exposure_s)
-    clean = convolution.forward(arcs + galaxy) + quasars + band.sky
-    image = noise.draw(clean, clean, stream(block.truth.seed, "observation", 0, name))
-    mask = np.ones(grid.shape, dtype=bool)
-    return checked_band(name, grid, image, noise.sigma(image), mask, psf, noise)
+    return Convolution(psf, grid.shape).forward(arcs + galaxy) + quasars + band.sky, psf
