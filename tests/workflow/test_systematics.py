@@ -87,7 +87,10 @@ def test_systematics(copy_of: Callable[[], Project]) -> None:
         assert audit.returncode == 0, audit.stdout
 
     made = {variant: _times(folder / variant) for variant in VARIANTS}
+    fewer = {name: VARIANTS[name] for name in ("halos", "gated")}
+    (project.folder / "mine.yaml").write_text(yaml.safe_dump(block | {"variants": fewer}, sort_keys=False))
     again = project.warmlens("systematics", "--config", "mine.yaml", "--cores", "2")
     assert again.returncode == 0, again.stdout + again.stderr
     assert {variant: _times(folder / variant) for variant in VARIANTS} == made
-    assert {row["name"]: row for row in json.loads((folder / "systematics.json").read_text())} == rows
+    kept = {row["name"]: row for row in json.loads((folder / "systematics.json").read_text())}
+    assert kept == {name: row for name, row in rows.items() if name not in ("equal", "scan")}
