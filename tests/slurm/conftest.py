@@ -1,7 +1,7 @@
 """A real Slurm of one node on loopback, for the tests in this folder: Debian's packages, no systemd, own files.
 
 They need root on a Debian-like system without a Slurm of its own, and are asked for with WARMLENS_TEST_SLURM=1
-(.ci/run), to make samples and the posterior; `make test-slurm` makes all of it there, and injects faults.
+(.ci/run), to make scans and the posterior; `make test-slurm` makes all of it there, and injects faults.
 """
 
 from __future__ import annotations
@@ -323,11 +323,12 @@ def local(cluster: Cluster, tmp_path_factory: pytest.TempPathFactory) -> Project
 
 @pytest.fixture
 def half_done(cluster: Cluster, local: Project, tmp_path: Path) -> Campaign:
-    """A campaign whose lens and scan operator are there; no sample, or without faults half of them."""
+    """A campaign with lens and scan operator, and no sample; without faults only half the scans lack."""
     subprocess.run(["cp", "-a", f"{local.folder}/.", str(tmp_path)], check=True)
     project = Project(tmp_path)
-    for stage in CHUNKED:
-        for path in (project.results / stage).glob("chunk-*" if FROM_NOTHING else "chunk-0000007-*"):
+    stages, chunks = (CHUNKED, "chunk-*") if FROM_NOTHING else (("scans", "summaries"), "chunk-0000007-*")
+    for stage in stages:
+        for path in (project.results / stage).glob(chunks):
             path.unlink()
     (project.folder / TARGET).unlink()
     return Campaign(cluster, project)
