@@ -44,7 +44,7 @@ def deeper(noise: NoiseModel, depth: float) -> NoiseModel:
     """Noise of an exposure that is so many times longer."""
     if noise.background_rms is None or noise.exposure_s is None:
         raise ValueError("the noise of a longer exposure is not known where a noise map was given")
-    return NoiseModel(noise.background_rms / np.sqrt(depth), noise.exposure_s * depth)
+    return NoiseModel(noise.background_rms / np.sqrt(depth), noise.exposure_s * depth, noise.correlation)
 
 
 def chunk_images(results: Path, path: Path, depth: float) -> tuple[FloatArray, dict[str, FloatArray]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 from pathlib import Path
 from typing import Any
@@ -46,6 +47,22 @@ def test_positions_to_the_east_are_far_from_the_light(config: Config) -> None:
     mirrored = [(-x, y) for x, y in config.smooth_model.quasar_images]
     lines = check_observation(changed(config, "smooth_model", quasar_images=mirrored))
     assert sum("FAR" in line for line in lines) >= 3
+
+
+def test_correlated_noise_is_told(config: Config) -> None:
+    """The simulated lens has independent pixels: next to no correlation, and the sky's rms as it was made."""
+    assert config.observation.fits is not None
+    block = config.observation.fits["F140W"].model_copy(update={"blank_sky_arcsec": 2.0})
+    *_, noise = check_observation(changed(config, "observation", fits={"F140W": block}))
+    found = re.search(
+        r"F140W: the noise of neighbouring pixels correlates by (\S+) along rows, (\S+) along columns, (\S+) "
+        r"across; mocks have the same \(\d+ pixels of sky, rms (\S+) e-/s; taken: (\S+)\)",
+        noise,
+    )
+    assert found is not None, noise
+    row, column, across, rms, taken = map(float, found.groups())
+    assert max(abs(row), abs(column), abs(across)) < 0.1
+    assert rms == pytest.approx(taken, rel=0.1)
 
 
 def test_every_problem_is_a_line(config: Config) -> None:

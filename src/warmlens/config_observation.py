@@ -82,7 +82,8 @@ class SimulatedBlock(Block):
         return self
 
 
-FITS_FILES = ("science", "psf", "mask", "sigma", "weight")  # keys of FitsBandBlock that name a file
+# keys of FitsBandBlock that name a file
+FITS_FILES = ("science", "psf", "mask", "sigma", "weight", "noise_correlation")
 
 
 class FitsBandBlock(Block):
@@ -93,6 +94,9 @@ class FitsBandBlock(Block):
     mask: str | None = None
     sigma: str | None = None
     weight: str | None = None
+    # not written when they are not used, so that the settings of other images stay what they were
+    noise_correlation: str | None = Field(default=None, exclude_if=lambda path: path is None)
+    blank_sky_arcsec: Positive | None = Field(default=None, exclude_if=lambda radius: radius is None)
     extension: Annotated[int, Field(ge=0)] = 0
     exposure_s: Positive | None = None
     background_rms: Positive | None = None
@@ -104,6 +108,8 @@ class FitsBandBlock(Block):
     def _consistent(self) -> FitsBandBlock:
         if self.sigma is not None and self.weight is not None:
             raise ValueError("give either sigma or weight (inverse variance), not both")
+        if self.noise_correlation is not None and self.blank_sky_arcsec is not None:
+            raise ValueError("give either noise_correlation or blank_sky_arcsec, where it is measured, not both")
         if self.pixel_scale_arcsec is not None and self.center_pixel is None:
             raise ValueError("pixel_scale_arcsec replaces the WCS and needs center_pixel ([x, y], from 0) too")
         return self

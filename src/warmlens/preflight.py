@@ -6,9 +6,12 @@ import numpy as np
 
 from warmlens.config import Config
 from warmlens.config_file import ConfigError
+from warmlens.config_observation import FitsBandBlock
 from warmlens.imaging.grid import PixelGrid
+from warmlens.imaging.noise_correlation import neighbours, sky_noise
 from warmlens.imaging.observation import Band
 from warmlens.stages.deflections import check_field
+from warmlens.stages.fits_input import blank_sky
 from warmlens.stages.observation import read_fits
 from warmlens.types import FloatArray
 
@@ -22,7 +25,8 @@ def check_observation(config: Config) -> list[str]:
     Returns
     -------
     lines
-        For the user: grid and orientation, then a line for each quasar image and band of a FITS observation.
+        For the user: grid and orientation, then a line for each quasar image and band of a FITS observation, and
+        one for each band whose noise is correlated.
         Empty for an observation that another campaign makes.
 
     Raises
@@ -53,6 +57,9 @@ def check_observation(config: Config) -> list[str]:
         problems += _quasars_off_the_image(grid, quasars)
         if not problems:
             lines += [line for band in observed.bands for line in _quasar_lines(grid, band, quasars)]
+        lines += [
+            line for band in observed.bands for line in _noise_lines(band, observation.fits[band.name], grid)
+        ]
     try:
         check_field(config.halos.field_half_width_arcsec, grid, config.deflections.filter_arcsec)
     except ValueError as error:
@@ -106,3 +113,20 @@ def _quasar_lines(grid: PixelGrid, band: Band, quasars: FloatArray) -> list[str]
             line += "; FAR: are positions to the West and the North, the origin and the orientation right?"
         lines.append(line)
     return lines
+
+
+def _noise_lines(band: Band, block: FitsBandBlock, grid: PixelGrid) -> list[str]:
+    """How noise is correlated, and where it was measured also its rms."""
+    if band.noise.correlation is None:
+        return []
+    row, column, diagonal = neighbours(band.noise.correlation)
+    line = (
+        f"{band.name}: the noise of neighbouring pixels correlates by {row:.2f} along rows, {column:.2f} along "
+        f"columns, {diagonal:.2f} across; mocks have the same"
+    )
+    if block.blank_sky_arcsec is not None:
+        sky = blank_sky(grid, band, block.blank_sky_arcsec)
+        _, rms = sky_noise(band.image, sky)
+        line += f" ({np.count_nonzero(sky)} pixels of sky, rms {rms:.3g} e-/s"
+        line += f"; taken: {np.median(band.sigma[sky]):.3g})"
+    return [line]

@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from warmlens.artifacts import Provenance, write_artifact
 from warmlens.config_observation import FitsBandBlock
-from warmlens.stages.fits_input import read_band
+from warmlens.imaging.noise_correlation import neighbours
+from warmlens.stages.fits_input import input_files, read_band
 from warmlens.stages.observation import read_fits
+from warmlens.stages.products import observation_datasets, read_observation
 
 SHAPE = (20, 24)
 
@@ -96,6 +99,54 @@ def test_noise_and_weight_maps(tmp_path: Path) -> None:
     assert with_weight.weights[0, 0] == 0.0
 
 
+def _sky(folder: Path, width: int) -> FitsBandBlock:
+    """64 x 64 pixels of sky, noise of 0.008 that is averaged over neighbours along rows."""
+    noise = np.random.default_rng(1).standard_normal((64, 64 + width - 1))
+    mean = np.lib.stride_tricks.sliding_window_view(noise, width, axis=1).sum(axis=-1) / np.sqrt(width)
+    return _write(folder, 0.008 * mean)
+
+
+def test_noise_correlation_from_blank_sky(tmp_path: Path) -> None:
+    block = _sky(tmp_path, 2).model_copy(update={"blank_sky_arcsec": 0.5})
+    _, band = read_band("F814W", block)
+    assert band.noise.correlation is not None
+    row, column, diagonal = neighbours(band.noise.correlation)
+    assert row == pytest.approx(0.5, abs=0.06)
+    assert column == pytest.approx(0.0, abs=0.06)
+    assert diagonal == pytest.approx(0.0, abs=0.06)
+    assert band.noise.background_rms == 0.008
+    with pytest.raises(ValueError, match=r"F814W.blank_sky_arcsec: 2.8: \d+ pixels of blank sky, at least 1000"):
+        read_band("F814W", block.model_copy(update={"blank_sky_arcsec": 2.8}))
+
+
+def test_noise_correlation_of_the_user(tmp_path: Path) -> None:
+    block = _write(tmp_path)
+    _, plain = read_band("F814W", block)
+    assert plain.noise.correlation is None
+    path = tmp_path / "correlation.fits"
+    block = block.model_copy(update={"noise_correlation": str(path)})
+    assert input_files(block)["noise_correlation"] == path
+    fits.PrimaryHDU(np.array([[0.0, 0.6, 0.0], [0.4, 2.0, 0.4], [0.0, 0.6, 0.0]])).writeto(path)
+    _, band = read_band("F814W", block)
+    assert band.noise.correlation is not None
+    assert neighbours(band.noise.correlation) == pytest.approx((0.2, 0.3, 0.0))
+    fits.PrimaryHDU(np.ones((3, 4))).writeto(path, overwrite=True)
+    with pytest.raises(ValueError, match=r"correlation\.fits: a correlation function has equal, odd sides"):
+        read_band("F814W", block)
+    with pytest.raises(ValueError, match="either noise_correlation or blank_sky_arcsec"):
+        FitsBandBlock.model_validate({**block.model_dump(), "blank_sky_arcsec": 1.0})
+
+
+def test_correlation_survives_the_artifact(tmp_path: Path) -> None:
+    block = _sky(tmp_path, 2).model_copy(update={"blank_sky_arcsec": 0.5})
+    observed = read_fits({"A": block, "B": block.model_copy(update={"blank_sky_arcsec": None})})
+    path = tmp_path / "observation.h5"
+    write_artifact(path, Provenance("observation", {"test": 1}), *observation_datasets(observed))
+    again = read_observation(path)
+    np.testing.assert_array_equal(again.bands[0].noise.correlation, observed.bands[0].noise.correlation)
+    assert again.bands[1].noise == observed.bands[1].noise
+
+
 def test_mask(tmp_path: Path) -> None:
     image = np.ones(SHAPE)
     image[3, 4] = np.nan
@@ -167,3 +218,19 @@ def test_real_image() -> None:
     row, column = np.unravel_index(np.argmax(band.image), grid.shape)
     x, y = grid.coordinates()
     assert np.hypot(x[row, column] + 2.076, y[row, column] - 0.662) < 0.05
+
+
+@pytest.mark.skipif("WARMLENS_HST_DATA" not in os.environ, reason="WARMLENS_HST_DATA is not set: no real image")
+def test_noise_of_the_real_image_is_correlated() -> None:
+    """Drizzled: neighbours alike along rows and columns, less across, hardly two pixels apart."""
+    folder = os.environ["WARMLENS_HST_DATA"]
+    block = FitsBandBlock(science=f"{folder}/sci.fits", psf=f"{folder}/psf.fits", blank_sky_arcsec=4.8)
+    _, band = read_band("F814W", block)
+    found = band.noise.correlation
+    assert found is not None
+    row, column, diagonal = neighbours(found)
+    assert 0.2 < row < 0.35
+    assert 0.2 < column < 0.35
+    assert 0.05 < diagonal < 0.15
+    assert abs(found[0]).max() < 0.1
+    assert abs(found[:, 0]).max() < 0.1

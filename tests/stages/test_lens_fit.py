@@ -20,6 +20,7 @@ from warmlens.fitting.smooth_model import band_fit
 from warmlens.fitting.variable_projection import covariance, prior_axes
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
+from warmlens.imaging.noise_correlation import correlate, neighbours
 from warmlens.imaging.observation import Band, Observation, checked_band
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, surface_brightness
@@ -28,6 +29,7 @@ from warmlens.stages import scan_operator, smooth_model
 from warmlens.stages.lens_fit import first_model, fit_lens, outside_cores, solve_given, usable_pixels
 from warmlens.stages.products import SmoothModel, observation_datasets, read_observation, read_smooth_model
 from warmlens.stages.settings import stage_settings
+from warmlens.types import FloatArray
 
 ROOT = Path(__file__).parents[2]
 GRID = PixelGrid.centred((60, 60), 0.06)
@@ -92,7 +94,7 @@ def config(block: dict[str, Any]) -> Config:
     return parse_config(raw)
 
 
-def observe(clump: float, n_bands: int) -> Observation:
+def observe(clump: float, n_bands: int, correlation: FloatArray | None = None) -> Observation:
     """The truth of the block, and a compact feature of the source that the shapelets do not hold."""
     x, y = GRID.subpixel_coordinates(1)
     rays = np.array([x, y]) - deflection(LENSES, LENS, x, y)
@@ -108,7 +110,8 @@ def observe(clump: float, n_bands: int) -> Observation:
         image += flux * sum(
             f * point_source(psf, GRID, *q) for f, q in zip((40, 30, 20, 30), QUASARS, strict=True)
         )
-        image += 0.02 + SIGMA * np.random.default_rng((1, len(bands))).normal(size=GRID.shape)
+        white = np.random.default_rng((1, len(bands))).normal(size=GRID.shape)
+        image += 0.02 + SIGMA * (white if correlation is None else correlate(white, correlation))
         mask = np.ones(GRID.shape, dtype=bool)
         mask[:2] = False
         noise = NoiseModel(SIGMA, 1e9)
@@ -133,6 +136,27 @@ def folder(observed: Observation, tmp_path_factory: pytest.TempPathFactory) -> P
         path / "observation.h5", Provenance("observation", {"test": 1}), *observation_datasets(observed)
     )
     return path
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["taken as independent", "known"])
+def test_correlated_noise_of_the_image_is_warned_of(known: bool, tmp_path: Path) -> None:
+    """Unless the mocks have the same."""
+    correlation = np.array([[0.1, 0.3, 0.1], [0.2, 1.0, 0.2], [0.1, 0.3, 0.1]])
+    observed = observe(0.0, 1, correlation)
+    if known:
+        (band,) = observed.bands
+        observed = replace(observed, bands=(replace(band, noise=replace(band.noise, correlation=correlation)),))
+    write_artifact(
+        tmp_path / "observation.h5", Provenance("observation", {"test": 1}), *observation_datasets(observed)
+    )
+    with open_artifact(run({**smooth_block(), "mode": "given"}, tmp_path), "smooth_model") as artifact:
+        row, column, across = neighbours(artifact.array("F814W/residual_correlation"))
+        warnings = artifact.metadata["warnings"]
+    assert (row, column, across) == pytest.approx((0.2, 0.3, 0.1), abs=0.06)  # the fit takes a little of it
+    told = (
+        f"F814W: neighbouring pixels' residuals correlate by {row:.2f} along rows and {column:.2f} along columns"
+    )
+    assert [told in warning for warning in warnings] == ([] if known else [True])
 
 
 def off(block: dict[str, Any]) -> dict[str, Any]:

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from warmlens.artifacts import Artifact
+from warmlens.imaging.noise_correlation import neighbours
 from warmlens.report.text import parameter_unit
+from warmlens.types import FloatArray
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,8 @@ class BandFit:
         Outside the cores of the quasar images, which the gate judges.
     chi2_red_all, chi2_red_noise_only
         With the cores; and outside them without the error of the PSF in the variance.
+    neighbours
+        Correlation of neighbouring pixels' residuals outside the cores, along rows and along columns.
     n_pixels, n_pixels_all, n_amplitudes
         Unmasked pixels outside the cores and with them, linear amplitudes.
     """
@@ -30,6 +34,7 @@ class BandFit:
     chi2_red: float
     chi2_red_all: float
     chi2_red_noise_only: float
+    neighbours: tuple[float, float]
     n_pixels: int
     n_pixels_all: int
     n_amplitudes: int
@@ -117,7 +122,10 @@ def read_smooth_fit(artifact: Artifact, simulated: Mapping[str, Any] | None) -> 
         mode=block["mode"],
         converged=bool(meta["converged"]),
         gate=(float(low), float(high)),
-        bands=tuple(_band(name, meta["fits"][name]) for name in meta["bands"]),
+        bands=tuple(
+            _band(name, meta["fits"][name], artifact.array(f"{name}/residual_correlation"))
+            for name in meta["bands"]
+        ),
         models=tuple(meta["lens_models"]),
         parameters=tuple(item for item in parameters if item not in (*shapelets, *quasars)),
         shapelets=shapelets,
@@ -126,12 +134,13 @@ def read_smooth_fit(artifact: Artifact, simulated: Mapping[str, Any] | None) -> 
     )
 
 
-def _band(name: str, fit: Mapping[str, Any]) -> BandFit:
+def _band(name: str, fit: Mapping[str, Any], residual_correlation: FloatArray) -> BandFit:
     return BandFit(
         name,
         fit["chi2_red_outside_cores"],
         fit["chi2_red"],
         fit["chi2_red_noise_only"],
+        neighbours(residual_correlation)[:2],
         fit["n_pixels_outside_cores"],
         fit["n_pixels"],
         fit["n_columns"],

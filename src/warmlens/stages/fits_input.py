@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,10 @@ from warmlens.config_file import ConfigError, expand_path
 from warmlens.config_observation import FITS_FILES, FitsBandBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
+from warmlens.imaging.noise_correlation import checked_correlation, sky_noise
 from warmlens.imaging.observation import Band, checked_band
 from warmlens.stages.fits_file import read_image, sky_steps
+from warmlens.types import BoolArray, FloatArray
 
 _UNITS = {"electron/s", "electrons/s", "e-/s", "electron s-1", "electrons s-1"}  # "/" may stand between spaces
 _LARGEST = 1e30  # e-/s or s: its square is a number too
@@ -63,7 +66,30 @@ def _read_band(name: str, block: FitsBandBlock) -> tuple[PixelGrid, Band]:
             exposure_s=_header_number(path, header, block.exposure_s, "EXPTIME", "exposure_s"),
         )
         sigma = noise.sigma(image)
-    return grid, checked_band(name, grid, image, sigma, mask, psf, noise)
+    band = checked_band(name, grid, image, sigma, mask, psf, noise)
+    return grid, replace(band, noise=replace(noise, correlation=_noise_correlation(grid, band, block)))
+
+
+def _noise_correlation(grid: PixelGrid, band: Band, block: FitsBandBlock) -> FloatArray | None:
+    """As the user's file has it, or as measured in blank sky; None: independent pixels."""
+    if block.noise_correlation is not None:
+        values, _ = read_image(expand_path(block.noise_correlation), 0)
+        where = f"{block.noise_correlation}"
+    elif block.blank_sky_arcsec is not None:
+        where = f"observation.fits.{band.name}.blank_sky_arcsec: {block.blank_sky_arcsec:g}"
+    else:
+        return None
+    try:
+        if block.blank_sky_arcsec is not None:
+            values, _ = sky_noise(band.image, blank_sky(grid, band, block.blank_sky_arcsec))
+        return checked_correlation(values)
+    except ValueError as error:
+        raise ValueError(f"{where}: {error}") from error
+
+
+def blank_sky(grid: PixelGrid, band: Band, radius_arcsec: float) -> BoolArray:
+    """Unmasked pixels farther than a radius from the origin [ny, nx]."""
+    return (np.hypot(*grid.coordinates()) > radius_arcsec) & band.mask
 
 
 def input_files(block: FitsBandBlock) -> dict[str, Path]:

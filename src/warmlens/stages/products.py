@@ -22,6 +22,7 @@ from warmlens.scan.operator import BandProjection, OperatorShard
 from warmlens.types import FloatArray
 
 _SKY = ("y", "x")
+_OFFSET = ("row offset", "column offset")
 _RAY = ("pixel", "sub-pixel")
 _RATE = "electron / s"
 
@@ -36,11 +37,18 @@ def observation_datasets(observation: Observation) -> tuple[dict[str, Dataset], 
             f"{band.name}/mask": Dataset(band.mask, "", _SKY, "1 on pixels that are used"),
             f"{band.name}/psf": Dataset(band.psf, "", _SKY, "point spread function, sum 1"),
         }
+        if band.noise.correlation is not None:
+            datasets[f"{band.name}/noise_correlation"] = Dataset(
+                band.noise.correlation, "", _OFFSET, "correlation of the noise between pixels, 1 in the middle"
+            )
     metadata = {
         "kind": observation.kind,
         "grid": dataclasses.asdict(observation.grid),
         "bands": [band.name for band in observation.bands],
-        "noise": {band.name: dataclasses.asdict(band.noise) for band in observation.bands},
+        "noise": {
+            band.name: {"background_rms": band.noise.background_rms, "exposure_s": band.noise.exposure_s}
+            for band in observation.bands
+        },
     }
     return datasets, metadata
 
@@ -56,7 +64,12 @@ def read_observation(path: Path) -> Observation:
                 sigma=artifact.array(f"{name}/sigma"),
                 mask=artifact.array(f"{name}/mask"),
                 psf=artifact.array(f"{name}/psf"),
-                noise=NoiseModel(**artifact.metadata["noise"][name]),
+                noise=NoiseModel(
+                    **artifact.metadata["noise"][name],
+                    correlation=artifact.array(f"{name}/noise_correlation")
+                    if f"{name}/noise_correlation" in artifact.file
+                    else None,
+                ),
             )
             for name in artifact.metadata["bands"]
         )

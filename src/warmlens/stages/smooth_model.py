@@ -13,6 +13,7 @@ from warmlens.artifacts import Dataset, Provenance, write_artifact
 from warmlens.config_smooth_model import SmoothModelBlock
 from warmlens.fitting.smooth_model import BandFit, band_fit
 from warmlens.fitting.variable_projection import covariance, prior_axes
+from warmlens.imaging.noise_correlation import autocorrelation, neighbours
 from warmlens.imaging.observation import Observation
 from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
@@ -22,6 +23,8 @@ from warmlens.stages.settings import SmoothModelSettings
 from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
+
+_CORRELATION_EXCESS = 0.1  # of neighbouring pixels' residuals over the noise of the mocks: more is a warning
 
 
 def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
@@ -38,9 +41,19 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
     observed = read_observation(observation)
     fitted = fit_lens(block, observed) if block.mode == "fit" else solve_given(block, observed)
     model = _product(block, observed, fitted)
-    warnings = _judge(block, fitted, model.fits)
+    residuals = residual_correlations(block, observed, model)
+    warnings = _judge(block, fitted, model.fits) + _unlike_the_noise(block, observed, model, residuals)
+    for warning in warnings:
+        log.warning(warning)
     datasets, metadata = smooth_model_datasets(model)
     extra, description = _fit_datasets(fitted)
+    for name, correlation in residuals.items():
+        extra[f"{name}/residual_correlation"] = Dataset(
+            correlation,
+            "",
+            ("row offset", "column offset"),
+            "correlation of the residuals between pixels outside the quasars' cores, in units of the noise",
+        )
     write_artifact(output, provenance, {**datasets, **extra}, {**metadata, **description, "warnings": warnings})
 
 
@@ -123,14 +136,45 @@ def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit]) -
         raise ValueError(
             "\n".join(problems) + "\nsmooth_model.allow_poor_fit: true goes on all the same, with a warning"
         )
-    warnings = problems + [
+    return problems + [
         f"{name}: chi2_red = {fit.chi2_red_outside_cores:.2f} of the smooth model lies below {low:g}: the noise "
         "is overestimated, or the model follows it"
         for name, fit in fits.items()
         if fit.chi2_red_outside_cores < low
     ]
-    for warning in warnings:
-        log.warning(warning)
+
+
+def residual_correlations(
+    block: SmoothModelBlock, observed: Observation, model: SmoothModel
+) -> dict[str, FloatArray]:
+    """Correlation function of each band's residuals in units of the noise, outside the quasars' cores."""
+    outside = outside_cores(block, observed.grid, model.quasars)
+    found = {}
+    for band in observed.bands:
+        fit = model.fits[band.name]
+        used = band.mask & np.isfinite(fit.sigma) & outside
+        found[band.name] = autocorrelation(np.where(used, (band.image - fit.model) / fit.sigma, 0.0), used)
+    return found
+
+
+def _unlike_the_noise(
+    block: SmoothModelBlock, observed: Observation, model: SmoothModel, residuals: dict[str, FloatArray]
+) -> list[str]:
+    """Warnings: neighbouring pixels' residuals are alike in bands that fit, and the mocks' noise will not be."""
+    warnings = []
+    for band in observed.bands:
+        if model.fits[band.name].chi2_red_outside_cores > block.chi2_red_range[1]:
+            continue  # misfit, which has its own warning
+        expected = band.noise.correlation
+        in_mocks = (0.0, 0.0) if expected is None else neighbours(expected)[:2]
+        in_image = neighbours(residuals[band.name])[:2]
+        if max(image - mock for image, mock in zip(in_image, in_mocks, strict=True)) > _CORRELATION_EXCESS:
+            warnings.append(
+                f"{band.name}: neighbouring pixels' residuals correlate by {in_image[0]:.2f} along rows and "
+                f"{in_image[1]:.2f} along columns, the noise of the mocks by {in_mocks[0]:.2f} and "
+                f"{in_mocks[1]:.2f}: misfit, or noise that is correlated by drizzling; give "
+                "observation.fits.BAND.blank_sky_arcsec, where it is measured, or noise_correlation"
+            )
     return warnings
 
 
