@@ -30,15 +30,20 @@ from warmlens.imaging.observation import Observation
 from warmlens.layout import CONFIG, SINGLE, chunks
 from warmlens.stages.products import observation_datasets, read_observation
 from warmlens.status import read_campaign
+from warmlens.summaries.response import mean_square_significance
 
 
 @dataclass(frozen=True)
 class Scan:
-    """Fractions of the positions below -4 and -10, bands added, the lowest Delta R, and the fit's chi2_red."""
+    """Fractions of the positions below -4 and -10, bands added, the lowest Delta R, and the fit's chi2_red.
+
+    Also the mean of z^2, NaN where the amplitude is not among the statistics of the scan.
+    """
 
     below_4: float
     below_10: float
     lowest: float
+    mean_z2: float
     chi2_red: dict[str, float]
 
 
@@ -83,10 +88,19 @@ def write_observation(config: Config, mocks: Path, row: int, output: Path) -> No
 
 def read_scan(path: Path, row: int | None, chi2_red: dict[str, float]) -> Scan:
     """Numbers of the scan of an observation, or of one row of a chunk."""
+    key = ... if row is None else row
     with open_artifact(path) as artifact:
-        maps = [artifact[f"{band}/delta_r"][... if row is None else row] for band in artifact.metadata["bands"]]
-        values = np.sum(maps, axis=0)[artifact.array("raster/valid").astype(bool)]
-    return Scan(float(np.mean(values < -4.0)), float(np.mean(values < -10.0)), float(values.min()), chi2_red)
+        bands = artifact.metadata["bands"]
+        valid = artifact.array("raster/valid").astype(bool)
+        values = np.sum([artifact[f"{band}/delta_r"][key] for band in bands], axis=0)[valid]
+        mean_z2 = float("nan")
+        if f"{bands[0]}/score" in artifact.file:
+            score, fisher = (
+                np.sum([artifact[f"{band}/{name}"][key] for band in bands], axis=0) for name in ("score", "fisher")
+            )
+            mean_z2 = float(mean_square_significance(score, fisher, valid))
+    below_4, below_10 = (float(np.mean(values < threshold)) for threshold in (-4.0, -10.0))
+    return Scan(below_4, below_10, float(values.min()), mean_z2, chi2_red)
 
 
 def fitted_chi2(results: Path) -> dict[str, float]:
@@ -141,12 +155,15 @@ def main() -> None:
         for null, samples in ((True, arguments.null), (False, arguments.samples))
         for sample in samples
     ]
-    printed = Table("image", "keV", "log10 M", "below -4 as the campaign's mock", "fitted itself", "chi2_red")
-    printed.add_row("the data", "", "", "", f"{observed.below_4:.1%}", _text(observed))
+    printed = Table(
+        "image", "keV", "log10 M", "below -4 as the campaign's mock", "fitted itself", "mean z^2", "chi2_red"
+    )
+    printed.add_row("the data", "", "", "", f"{observed.below_4:.1%}", f"{observed.mean_z2:.2f}", _text(observed))
     for mock in found:
         kev, mass = (f"{v:.2f}" if v else "none" for v in (mock.m_th_kev, mock.log10_m_halo_msun))
         shown = [f"{scan.below_4:.1%}" for scan in (mock.in_campaign, mock.fitted)]
-        printed.add_row(mock.name, kev, mass, *shown, _text(mock.fitted))
+        squares = f"{mock.in_campaign.mean_z2:.2f}, {mock.fitted.mean_z2:.2f}"
+        printed.add_row(mock.name, kev, mass, *shown, squares, _text(mock.fitted))
     Console().print(printed)
     if arguments.json:
         whole: dict[str, Any] = {"command": " ".join(sys.argv), "observed": dataclasses.asdict(observed)}

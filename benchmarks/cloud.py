@@ -1,0 +1,97 @@
+"""Does the observed scan look like its mocks', and where not? Faint and bright positions apart.
+
+python benchmarks/cloud.py results/hst_full --json FILE
+
+For a campaign with the amplitude among `scan.statistics`. Positions are faint where noise in the fitted source
+makes most of the Fisher information (F < 1.5 f), bright where the source itself does (F > 4 f): what noise alone
+does shows at the faint ones, substructure and misfit at the bright.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from warmlens.artifacts import Artifact, open_artifact
+from warmlens.layout import SINGLE, stage_files
+from warmlens.stages.samples import SampleTable
+from warmlens.status import read_campaign
+from warmlens.types import FloatArray
+
+FAINT, BRIGHT = 1.5, 4.0  # F / f below and above
+QUANTILES = (0.16, 0.5, 0.84)
+
+
+def numbers(artifact: Artifact, row: int | None) -> dict[str, float]:
+    """Numbers of one map, the bands added; `row` of a chunk, or of an observed scan."""
+    bands = artifact.metadata["bands"]
+
+    def added(name: str) -> FloatArray:
+        key = row if row is not None and name != "fisher_noise" else ...
+        return np.sum([artifact[f"{band}/{name}"][key] for band in bands], axis=0)
+
+    delta_r, score, fisher, noise = (added(name) for name in ("delta_r", "score", "fisher", "fisher_noise"))
+    valid = artifact.array("raster/valid").astype(bool)
+    informed = valid & (fisher > 0.0)
+    square = np.divide(score**2, fisher, out=np.zeros_like(score), where=informed)
+    faint, bright = informed & (fisher < FAINT * noise), informed & (fisher > BRIGHT * noise)
+    return {
+        "mean z^2": float(square[informed].mean()),
+        "mean z^2, faint": float(square[faint].mean()),
+        "mean z^2, bright": float(square[bright].mean()),
+        "below -4 [%]": 100.0 * float(np.mean(delta_r[valid] < -4.0)),
+        "below -10 [%]": 100.0 * float(np.mean(delta_r[valid] < -10.0)),
+        "C(0)": float(np.sum(np.where(delta_r < -4.0, delta_r, 0.0)[valid] ** 2) / valid.sum()),
+        "chi2": float(np.sum([artifact[f"{band}/chi2"][... if row is None else row] for band in bands])),
+        "positions, faint": float(faint.sum()),
+        "positions, bright": float(bright.sum()),
+    }
+
+
+def mocks(paths: list[Path], stage: str) -> Iterator[dict[str, float]]:
+    """Numbers of every mock that did not fail."""
+    for path in paths:
+        with open_artifact(path, stage) as artifact:
+            for row in np.flatnonzero(SampleTable.read(artifact).done):
+                yield numbers(artifact, int(row))
+
+
+def main() -> None:
+    """Print the observation beside samples and null mocks."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("results", type=Path)
+    parser.add_argument("--json", type=Path, help="write the numbers here")
+    arguments = parser.parse_args()
+    config = read_campaign(arguments.results)
+    with open_artifact(arguments.results / SINGLE["observed_scan"], "observed_scan") as artifact:
+        observed = numbers(artifact, None)
+    clouds = {
+        "samples": list(mocks(stage_files(config, "scans"), "scans")),
+        "null mocks": list(mocks([arguments.results / SINGLE["null_scans"]], "null_scans")),
+    }
+    table = Table(
+        "", "the observation", *(f"{len(found)} {name}" for name, found in clouds.items()), "samples below it"
+    )
+    result = {}
+    for name, value in observed.items():
+        line = {}
+        for kind, found in clouds.items():
+            low, middle, high = np.quantile([item[name] for item in found], QUANTILES)
+            line[kind] = {"low": low, "median": middle, "high": high}
+        below = float(np.mean([item[name] < value for item in clouds["samples"]]))
+        shown = [f"{q['median']:.4g} ({q['low']:.4g} to {q['high']:.4g})" for q in line.values()]
+        table.add_row(name, f"{value:.4g}", *shown, f"{below:.1%}")
+        result[name] = {"observation": value, "samples_below": below, **line}
+    Console(width=140).print(table)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=2))
+
+
+if __name__ == "__main__":
+    main()
