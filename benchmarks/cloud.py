@@ -54,11 +54,12 @@ def numbers(artifact: Artifact, row: int | None) -> dict[str, float]:
     }
 
 
-def mocks(paths: list[Path], stage: str) -> Iterator[dict[str, float]]:
-    """Numbers of every mock that did not fail."""
+def mocks(paths: list[Path], stage: str, n_mocks: int) -> Iterator[dict[str, float]]:
+    """Numbers of every mock that did not fail; the last chunk may hold more than the campaign counts."""
     for path in paths:
         with open_artifact(path, stage) as artifact:
-            for row in np.flatnonzero(SampleTable.read(artifact).done):
+            table = SampleTable.read(artifact)
+            for row in np.flatnonzero(table.done & (table.parameters.sample_id < n_mocks)):
                 yield numbers(artifact, int(row))
 
 
@@ -72,8 +73,8 @@ def main() -> None:
     with open_artifact(arguments.results / SINGLE["observed_scan"], "observed_scan") as artifact:
         observed = numbers(artifact, None)
     clouds = {
-        "samples": list(mocks(stage_files(config, "scans"), "scans")),
-        "null mocks": list(mocks([arguments.results / SINGLE["null_scans"]], "null_scans")),
+        "samples": list(mocks(stage_files(config, "scans"), "scans", config.campaign.n_samples)),
+        "null mocks": list(mocks(stage_files(config, "null_scans"), "null_scans", config.null_test.n_mocks)),
     }
     table = Table(
         "", "the observation", *(f"{len(found)} {name}" for name, found in clouds.items()), "samples below it"

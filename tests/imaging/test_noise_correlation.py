@@ -104,7 +104,7 @@ def test_sources_in_the_sky_are_left_out() -> None:
 
 
 def test_a_small_sky_is_an_error() -> None:
-    with pytest.raises(ValueError, match=r"\d+ pixels of blank sky, at least 1000 are needed"):
+    with pytest.raises(ValueError, match=r"\d+ unmasked pixels of blank sky, at least 1000 are needed"):
         sky_noise(np.random.default_rng(6).standard_normal(SHAPE), around(88.0))
 
 

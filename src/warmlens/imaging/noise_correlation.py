@@ -72,8 +72,8 @@ def sky_noise(image: FloatArray, sky: BoolArray) -> tuple[FloatArray, float]:
     for _ in range(_CLIP_ROUNDS):
         if np.count_nonzero(used) < MIN_SKY_PIXELS:
             raise ValueError(
-                f"{np.count_nonzero(used)} pixels of blank sky, at least {MIN_SKY_PIXELS} are needed to measure "
-                "how noise is correlated"
+                f"{np.count_nonzero(used)} unmasked pixels of blank sky, at least {MIN_SKY_PIXELS} are needed "
+                "to measure how noise is correlated"
             )
         rest = image - np.tensordot(np.linalg.lstsq(surface[:, used].T, image[used])[0], surface, axes=1)
         rms = float(np.sqrt(np.mean(rest[used] ** 2)))
