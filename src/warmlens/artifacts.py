@@ -9,7 +9,7 @@ import json
 import os
 import shutil
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,13 +29,13 @@ from warmlens.hdf5_checks import (
     inputs_attribute,
     json_attribute,
     number_attribute,
-    read_text,
     seal,
     span_attribute,
     text_attribute,
+    texts_attribute,
 )
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 1 had text of variable length
 _LIBVER = ("v110", "v110")
 
 
@@ -94,6 +94,7 @@ class Artifact:
     inputs: dict[str, dict[str, str]]
     span: tuple[int, int] | None
     wall_seconds: float
+    git_dirty: bool
 
     def __getitem__(self, name: str) -> h5py.Dataset:
         """Dataset `name`, not yet read."""
@@ -105,7 +106,7 @@ class Artifact:
         """Dataset `name` of numbers, read whole, or what an index picks of it."""
         node = self[name]
         with reading(self.path, f"dataset {name!r}"):
-            if node.dtype.kind == "O":
+            if node.dtype.kind == "S":
                 raise UnusableFileError(f"dataset {name!r} is text, expected numbers")
             return node[rows]
 
@@ -113,17 +114,22 @@ class Artifact:
         """Dataset `name` of strings, read whole."""
         node = self[name]
         with reading(self.path, f"dataset {name!r}"):
-            if node.dtype.kind != "O":
+            if node.dtype.kind != "S":
                 raise UnusableFileError(f"dataset {name!r} is numbers, expected text")
-            return [text.decode() for text in read_text(node, self.path.stat().st_size)]
+            return [text.decode() for text in node[...]]
+
+    def text(self, name: str) -> str:
+        """Attribute `name` of the file, which is text."""
+        with reading(self.path, f"attribute {name!r}"):
+            return text_attribute(self.file, name)
 
     def dataset(self, name: str) -> Dataset:
         """Dataset `name`, read whole with its unit, axes and description."""
         node = self[name]
-        data = self.strings(name) if node.dtype.kind == "O" else self.array(name)
+        data = self.strings(name) if node.dtype.kind == "S" else self.array(name)
         with reading(self.path, f"dataset {name!r}"):
             unit, description = text_attribute(node, "unit"), text_attribute(node, "description")
-            axes = tuple(str(axis) for axis in node.attrs["axes"])
+            axes = texts_attribute(node, "axes")
             if len(axes) != node.ndim:
                 raise UnusableFileError(f"dataset {name!r} has {node.ndim} dimensions, but axes {axes}")
             return Dataset(data, unit, axes, description)
@@ -248,7 +254,8 @@ def _write_file(
             _write_dataset(file, name, dataset)
         file.flush()
         digest = content_digest(file, metadata)
-        file.attrs.update(
+        _set_attributes(
+            file,
             {
                 "schema": f"warmlens/{provenance.stage}",
                 "schema_version": SCHEMA_VERSION,
@@ -266,34 +273,44 @@ def _write_file(
                 "wall_seconds": time.monotonic() - provenance.started,
                 "digest": digest,
                 "complete": 1,
-            }
+            },
         )
-        file_bytes = target.stat().st_size
-        file.attrs["seal"] = seal(file, dataset_names(file, file_bytes), file_bytes)
+        _set_attributes(file, {"seal": seal(file, dataset_names(file, target.stat().st_size))})
     return digest
 
 
 def _write_dataset(file: h5py.File, name: str, dataset: Dataset) -> None:
     options: dict[str, Any] = {}
-    if isinstance(dataset.data, list):
-        data: Any = np.array([text.encode() for text in dataset.data], dtype=object)
-        options["dtype"] = h5py.string_dtype()
-    else:
-        data = dataset.data
-        if data.ndim != len(dataset.axes):
-            raise ValueError(f"dataset {name!r}: {data.ndim} dimensions, but axes {dataset.axes}")
-        if data.ndim and data.size:
-            # One sample (or row) a chunk; checksums so that a flipped byte is an error, never a number.
-            options.update(chunks=_chunk_shape(data), fletcher32=True)
-            if data.ndim >= 2 and data.dtype == np.float32:
-                options.update(shuffle=True, compression="gzip", compression_opts=1)
+    data = _fixed_length(dataset.data) if isinstance(dataset.data, list) else dataset.data
+    if data.ndim != len(dataset.axes):
+        raise ValueError(f"dataset {name!r}: {data.ndim} dimensions, but axes {dataset.axes}")
+    if data.ndim and data.size:
+        # One sample (or row) a chunk; checksums so that a flipped byte is an error, never a number.
+        options.update(chunks=_chunk_shape(data), fletcher32=True)
+        if data.dtype.kind == "S" or (data.ndim >= 2 and data.dtype == np.float32):
+            options.update(shuffle=data.dtype.kind == "f", compression="gzip", compression_opts=1)
     node = file.create_dataset(name, data=data, **options)
-    node.attrs.update({"unit": dataset.unit, "axes": list(dataset.axes), "description": dataset.description})
+    _set_attributes(
+        node, {"unit": dataset.unit, "axes": _fixed_length(dataset.axes), "description": dataset.description}
+    )
+
+
+def _set_attributes(node: h5py.HLObject, values: Mapping[str, Any]) -> None:
+    for name, value in values.items():
+        node.attrs[name] = _fixed_length([value]).reshape(()) if isinstance(value, str) else value
+
+
+def _fixed_length(texts: Sequence[str]) -> npt.NDArray[np.bytes_]:
+    """Strings in UTF-8, padded to the longest."""
+    if any("\0" in text for text in texts):
+        raise ValueError("text with a zero byte, which HDF5 takes for its end")
+    encoded = [text.encode() for text in texts]
+    return np.array(encoded, dtype=h5py.string_dtype("utf-8", max([1, *map(len, encoded)])))
 
 
 def _chunk_shape(data: npt.NDArray[Any]) -> tuple[int, ...]:
     """Whole rows along the first axis, about a MiB each."""
-    row_bytes = max(1, data[0].nbytes)
+    row_bytes = max(1, data[:1].nbytes)
     rows = int(np.clip(2**20 // row_bytes, 1, data.shape[0]))
     return (rows, *data.shape[1:])
 
@@ -301,15 +318,10 @@ def _chunk_shape(data: npt.NDArray[Any]) -> tuple[int, ...]:
 def content_digest(file: h5py.File, metadata: Mapping[str, Any]) -> str:
     """SHA-256 over metadata and the names, shapes, dtypes and bytes of all datasets."""
     sha = hashlib.sha256(canonical_json(metadata).encode())
-    file_bytes = Path(file.filename).stat().st_size
-    for name in dataset_names(file, file_bytes):
+    for name in dataset_names(file, Path(file.filename).stat().st_size):
         node = file[name]
         sha.update(f"\0{name}\0{node.shape}\0{node.dtype.str}\0".encode())
-        if node.dtype.kind == "O":
-            for text in read_text(node, file_bytes):
-                sha.update(text + b"\0")
-        else:
-            sha.update(np.ascontiguousarray(node[...]).reshape(-1).view(np.uint8).data)  # not copied
+        sha.update(np.ascontiguousarray(node[...]).reshape(-1).view(np.uint8).data)  # not copied
     return sha.hexdigest()
 
 
@@ -342,8 +354,7 @@ def _checked(path: Path, file: h5py.File) -> Artifact:
         raise ArtifactError(f"{path}: schema version {version:g}, this program reads {SCHEMA_VERSION}; {_REMEDY}")
     for name in _DESCRIPTIVE:
         text_attribute(file, name)
-    file_bytes = path.stat().st_size
-    names = dataset_names(file, file_bytes)
+    names = dataset_names(file, path.stat().st_size)
     artifact = Artifact(
         path=path,
         file=file,
@@ -355,8 +366,9 @@ def _checked(path: Path, file: h5py.File) -> Artifact:
         inputs=inputs_attribute(file, "inputs"),
         span=span_attribute(file, "span"),
         wall_seconds=number_attribute(file, "wall_seconds"),
+        git_dirty=bool(number_attribute(file, "git_dirty")),
     )
-    check_seal(file, names, file_bytes)
+    check_seal(file, names)
     check_name(path.stem, artifact.span)
     return artifact
 

@@ -97,19 +97,18 @@ def read_header(artifact: Artifact, place: Path) -> Header:
     ArtifactError
         If an input is no artifact of the same results folder.
     """
-    attrs = artifact.file.attrs
     sources = input_paths(artifact, place)
     return Header(
         stage=artifact.stage,
-        schema=str(attrs["schema"]),
+        schema=artifact.text("schema"),
         schema_version=SCHEMA_VERSION,  # no other is opened
         digest=artifact.digest,
         settings=artifact.settings,
         inputs={name: (item["path"], sources[name], item["digest"]) for name, item in artifact.inputs.items()},
-        package_version=str(attrs["package_version"]),
-        git_commit=str(attrs["git_commit"]),
-        git_dirty=bool(attrs["git_dirty"]),
-        created_utc=str(attrs["created_utc"]),
+        package_version=artifact.text("package_version"),
+        git_commit=artifact.text("git_commit"),
+        git_dirty=artifact.git_dirty,
+        created_utc=artifact.text("created_utc"),
         wall_seconds=artifact.wall_seconds,
     )
 

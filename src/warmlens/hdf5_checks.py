@@ -3,6 +3,9 @@
 An artifact holds plain arrays behind plain links, all of it stored in the file itself. Everything else that
 HDF5 knows (links and storage in other files, virtual datasets, references, filters from plugins) is refused, and
 so is whatever would need far more memory than the file suggests.
+
+Text has a fixed length. Of variable length it lies in a heap without checksums, in which HDF5 2.0 searches for
+ever if one byte is damaged: no such text is read.
 """
 
 from __future__ import annotations
@@ -15,14 +18,12 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import h5py
-import numpy as np
 
 _MAX_DEPTH = 6  # groups within groups
 _MAX_NODES = 2000
 _MAX_INFLATED_BYTES = 2**32  # of a compressed dataset
 _MAX_INFLATION = 1100  # deflate reaches 1032
 _MAX_PACKED_BYTES = 2**22  # of a compressed chunk: what it inflates to is known only afterwards
-_STRING_BLOCK_BYTES = 2**28
 _MAX_TEXT = 2**25  # of an attribute; metadata and inputs of the largest campaigns are below 2**21
 _MAX_EDGE = 9_999_999  # of a span: file names have seven digits
 _FILTERS = frozenset({h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32})
@@ -89,7 +90,7 @@ def _check_dataset(node: h5py.h5d.DatasetID, name: str, file_bytes: int) -> None
     if not filters <= _FILTERS:
         raise UnusableFileError(f"dataset {name!r} needs filters that no artifact has")
     dtype, shape = node.dtype, node.shape
-    if not (dtype.kind in "biuf" or _is_text(dtype)):
+    if dtype.kind not in "biufS":
         raise UnusableFileError(f"dataset {name!r} is of type {dtype}, which is neither numbers nor text")
     if shape is None:
         raise UnusableFileError(f"dataset {name!r} is empty without a shape")
@@ -114,40 +115,25 @@ def _check_packed_chunks(node: h5py.h5d.DatasetID, name: str) -> None:
         )
 
 
-def _is_text(dtype: np.dtype[Any]) -> bool:
-    """Whether this is text of variable length, the only kind that is written."""
-    info = h5py.check_string_dtype(dtype)
-    return info is not None and info.length is None
-
-
-def read_text(node: h5py.Dataset, file_bytes: int) -> list[bytes]:
-    """All strings of a dataset.
-
-    Read in blocks, since many elements of a hostile file may point to the same long string.
-    """
-    (n,) = node.shape
-    block = int(np.clip(_STRING_BLOCK_BYTES // file_bytes, 1, 4096))
-    texts: list[bytes] = []
-    total = 0
-    for first in range(0, n, block):
-        part = [bytes(text) for text in node[first : first + block]]
-        total += sum(map(len, part))
-        if total > file_bytes:
-            raise UnusableFileError(f"dataset {node.name!r} holds more text than the file is large")
-        texts += part
-    return texts
-
-
 def text_attribute(node: h5py.HLObject, name: str) -> str:
     """Attribute that is one string of UTF-8."""
     found = _attribute(node, name)
-    if found.shape != () or not _is_text(found.dtype):
+    if found.shape != () or found.dtype.kind != "S":
         raise UnusableFileError(f"its attribute {name!r} is not text")
-    value = np.empty((), dtype=found.dtype)
-    found.read(value)
-    text: bytes = value.item() or b""  # an empty string may be stored as none at all
-    if len(text) > _MAX_TEXT:
-        raise UnusableFileError(f"its attribute {name!r} is {len(text)} bytes long")
+    if found.dtype.itemsize > _MAX_TEXT:
+        raise UnusableFileError(f"its attribute {name!r} is {found.dtype.itemsize} bytes long")
+    return _decoded(node.attrs[name], name)
+
+
+def texts_attribute(node: h5py.HLObject, name: str) -> tuple[str, ...]:
+    """Attribute that is a list of strings of UTF-8."""
+    found = _attribute(node, name)
+    if len(found.shape) != 1 or found.dtype.kind != "S":
+        raise UnusableFileError(f"its attribute {name!r} is no list of texts")
+    return tuple(_decoded(text, name) for text in node.attrs[name])
+
+
+def _decoded(text: bytes, name: str) -> str:
     try:
         return text.decode()
     except UnicodeDecodeError:
@@ -203,8 +189,8 @@ def span_attribute(node: h5py.HLObject, name: str) -> tuple[int, int] | None:
     return int(start), int(stop)
 
 
-def seal(file: h5py.File, names: Iterable[str], file_bytes: int) -> str:
-    """SHA-256 over what HDF5 has no checksum of: texts, among them attributes, and datasets without chunks.
+def seal(file: h5py.File, names: Iterable[str]) -> str:
+    """SHA-256 over what HDF5 may have no checksum of: attributes that are text, and datasets without chunks.
 
     Headers have one, and so has every chunk of an array. With the seal no flipped bit goes unnoticed in anything
     that is computed with, though the arrays, which may be large, are not hashed. Left out are the units and
@@ -216,14 +202,13 @@ def seal(file: h5py.File, names: Iterable[str], file_bytes: int) -> str:
     for name in names:
         node = file[name]
         if not node.fletcher32:
-            parts = read_text(node, file_bytes) if node.dtype.kind == "O" else [node[...].tobytes()]
-            sha.update(name.encode() + b"\0" + b"\0".join(parts) + b"\0")
+            sha.update(name.encode() + b"\0" + node[...].tobytes() + b"\0")
     return sha.hexdigest()
 
 
-def check_seal(file: h5py.File, names: Iterable[str], file_bytes: int) -> None:
+def check_seal(file: h5py.File, names: Iterable[str]) -> None:
     """Refuse a file whose texts or single numbers have changed; files of early versions have no seal."""
-    if "seal" in file.attrs and text_attribute(file, "seal") != seal(file, names, file_bytes):
+    if "seal" in file.attrs and text_attribute(file, "seal") != seal(file, names):
         raise UnusableFileError("its attributes, texts or single numbers have changed since it was written")
 
 

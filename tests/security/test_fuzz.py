@@ -6,6 +6,7 @@ A few examples by default, always the same; `WARMLENS_FUZZ=1500 pytest tests/sec
 from __future__ import annotations
 
 import contextlib
+import faulthandler
 import gzip
 import json
 import os
@@ -62,18 +63,23 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @contextlib.contextmanager
 def user_errors(*classes: type[Exception]) -> Iterator[None]:
-    """Errors that users see are fine if they are short; a hang and anything else are not."""
+    """Errors that users see are fine if they are short; a hang and anything else are not.
+
+    A library that hangs where Python gets no word ends the whole run; the file that it read is left in `folder`.
+    """
 
     def stop(*_: object) -> None:
         raise AssertionError(f"took longer than {SECONDS} s")
 
     signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    faulthandler.dump_traceback_later(3 * SECONDS, exit=True)
     try:
         yield
     except classes as error:
         assert 0 < len(str(error)) < 100_000
     finally:
+        faulthandler.cancel_dump_traceback_later()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
 
 

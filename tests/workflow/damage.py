@@ -110,9 +110,9 @@ def flip_arrays(path: Path) -> None:
 
 
 def flip_metadata(path: Path) -> None:
-    """Flip the lowest bit of the last digit of the metadata, for which HDF5 has no checksum: 2 becomes 3."""
+    """Flip the lowest bit of the last digit of the metadata: 2 becomes 3."""
     with open_artifact(path) as artifact:
-        text = artifact.file.attrs["metadata"].encode()
+        text = artifact.text("metadata").encode()
     digits = [i for i, byte in enumerate(text) if chr(byte).isdigit()]
     content = path.read_bytes()
     start = content.index(text)

@@ -117,7 +117,7 @@ def test_tutorial_python(as_demo: Path, capsys: pytest.CaptureFixture[str]) -> N
     names: dict[str, Any] = {"__name__": "tutorial"}
     for code in blocks("tutorial.md", "python"):
         exec(compile(code, "docs/tutorial.md", "exec", dont_inherit=True), names)
-    assert names["delta_r"].ndim == 2
+    assert names["delta_r"].data.ndim == 2
     assert "the prior 1.18 keV" in capsys.readouterr().out
 
 

@@ -147,7 +147,7 @@ def read_report(results: Path, captions: Mapping[str, str]) -> Campaign:
         fit = read_smooth_fit(artifact, simulated)
     with open_of_campaign(results, SINGLE["abc"], "abc") as artifact:
         meta = _ordered(artifact.metadata)
-        created = str(artifact.file.attrs["created_utc"])
+        created = artifact.text("created_utc")
         accepted, failed = _accepted(artifact), _failed(artifact, config)
     return Campaign(
         results=results,

@@ -124,16 +124,15 @@ def read_provenance(results: Path, config: Config) -> Provenance:
 
 def _read_row(path: Path, stage: str, name: str) -> ArtifactRow:
     with open_artifact(path, stage) as artifact:
-        attrs = artifact.file.attrs
         return ArtifactRow(
             stage,
             name,
             artifact.digest,
-            str(attrs["settings_sha256"]),
-            str(attrs["git_commit"]),
-            bool(attrs["git_dirty"]),
-            str(attrs["package_version"]),
-            str(attrs["created_utc"]),
+            artifact.text("settings_sha256"),
+            artifact.text("git_commit"),
+            artifact.git_dirty,
+            artifact.text("package_version"),
+            artifact.text("created_utc"),
             artifact.wall_seconds,
         )
 

@@ -228,7 +228,7 @@ class _Reader:
         with self._open(stage) as artifact:
             status = int(artifact.array("samples/status", self.row))
             words = {OK: "done", FAILED_HERE: "failed here"}
-            keys = seed_keys(str(artifact.file.attrs["seed_key"]), self.sample, artifact.metadata)
+            keys = seed_keys(artifact.text("seed_key"), self.sample, artifact.metadata)
             campaign = self.config.campaign
             if stage == "halos" and campaign.design == "prior":  # which draws the parameters too
                 keys = (f"{campaign.seed}/parameters/{self.sample}", *keys)
