@@ -76,10 +76,17 @@ def main() -> None:
         "samples": list(mocks(stage_files(config, "scans"), "scans", config.campaign.n_samples)),
         "null mocks": list(mocks(stage_files(config, "null_scans"), "null_scans", config.null_test.n_mocks)),
     }
+    result = compare(observed, clouds)
+    if arguments.json:
+        arguments.json.write_text(json.dumps(result, indent=2))
+
+
+def compare(observed: dict[str, float], clouds: dict[str, list[dict[str, float]]]) -> dict[str, dict[str, object]]:
+    """Print and return each number of the observation beside its quantiles in the clouds, `samples` among them."""
     table = Table(
         "", "the observation", *(f"{len(found)} {name}" for name, found in clouds.items()), "samples below it"
     )
-    result = {}
+    result: dict[str, dict[str, object]] = {}
     for name, value in observed.items():
         line = {}
         for kind, found in clouds.items():
@@ -90,8 +97,7 @@ def main() -> None:
         table.add_row(name, f"{value:.4g}", *shown, f"{below:.1%}")
         result[name] = {"observation": value, "samples_below": below, **line}
     Console(width=140).print(table)
-    if arguments.json:
-        arguments.json.write_text(json.dumps(result, indent=2))
+    return result
 
 
 if __name__ == "__main__":
