@@ -71,7 +71,29 @@ def test_a_feature_is_found_where_it_is(one: ImageModel) -> None:
     assert offset(first, (CLUMP[0] + CENTER[0], CLUMP[1] + CENTER[1])) > first.beta  # wrong twin: not relative
     assert first.n_max == 2
     resolution = SCALE * fwhm(one.bands[0].psf, GRID.pixel_scale)
-    assert resolution / 10.0 <= first.beta < resolution  # magnified, at most by 100
+    assert 0.4 * GRID.pixel_scale < first.beta < resolution  # magnified, but rays resolve it
+
+
+def test_rays_resolve_clumps_on_a_critical_curve() -> None:
+    """A feature behind the lens's centre makes a ring: magnified without limit along it, not at all across."""
+    found = found_in(build({(LENS[0]["center_x"] - CENTER[0], LENS[0]["center_y"] - CENTER[1]): 3.0}))
+    assert found
+    for clump in found:
+        assert clump.beta > 0.5 * GRID.pixel_scale * 0.8  # across, an isothermal lens shrinks lengths by 1
+
+
+def test_pixels_without_weight_make_no_clumps(one: ImageModel) -> None:
+    """Though residuals next to them look like peaks there."""
+    band = one.bands[0]
+    left = GRID.coordinates()[0] < 0.4
+    half = replace(one, bands=(replace(band, weights=np.where(left, band.weights, 0.0)),))
+    solution = half.solve(np.empty(0))
+    rays = np.array([solution.source_x, solution.source_y]).reshape(2, -1)[:, left.ravel()]
+    sets = find_clumps(half, solution, 15, 2, 3.0, SCALE, NOTHING)
+    assert sets
+    for clump in sets:
+        center = solution.center + BETA * np.array([clump.center_x, clump.center_y])
+        assert np.hypot(*(rays - center[:, None])).min() < 1e-9
 
 
 def test_counter_images_are_one_clump(one: ImageModel) -> None:

@@ -52,7 +52,7 @@ class ObservationSettings(StageSettings):
 class SmoothModelSettings(StageSettings):
     """Lens, light and source basis of the smooth model."""
 
-    stage_version: int = 3
+    stage_version: int = 4
     smooth_model: SmoothModelBlock
 
 

@@ -13,17 +13,20 @@ from warmlens.artifacts import Dataset, Provenance, write_artifact
 from warmlens.config_smooth_model import SmoothModelBlock
 from warmlens.fitting.smooth_model import BandFit, band_fit
 from warmlens.fitting.variable_projection import covariance, prior_axes
+from warmlens.imaging.mock import lensed_image
 from warmlens.imaging.noise_correlation import autocorrelation, neighbours
 from warmlens.imaging.observation import Observation
 from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
 from warmlens.stages.lens_fit import LensFit, fit_lens, noise_sigma, outside_cores, solve_given
-from warmlens.stages.products import SmoothModel, read_observation, smooth_model_datasets
+from warmlens.stages.products import SmoothModel, read_observation, scan_band, smooth_model_datasets
 from warmlens.stages.settings import SmoothModelSettings
 from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
 
+_SMALL_DEFLECTION = 0.001  # arcsec, the rms of what substructure adds
+_WILD_RESPONSE = 3.0  # noise deviations by which it may change a pixel beyond the arc's own light
 _CORRELATION_EXCESS = 0.1  # of neighbouring pixels' residuals over the noise of the mocks: more is a warning
 
 
@@ -33,8 +36,8 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
     Raises
     ------
     ValueError
-        If the fit did not converge, hit a limit or left chi2_red above the gate, and
-        `smooth_model.allow_poor_fit` is false.
+        If the fit did not converge, hit a limit, left chi2_red above the gate or has a source that rays do not
+        resolve, and `smooth_model.allow_poor_fit` is false.
     """
     provenance = Provenance("smooth_model", settings.as_dict(), {"observation": observation})
     block = settings.smooth_model
@@ -42,7 +45,9 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
     fitted = fit_lens(block, observed) if block.mode == "fit" else solve_given(block, observed)
     model = _product(block, observed, fitted)
     residuals = residual_correlations(block, observed, model)
-    warnings = _judge(block, fitted, model.fits) + _unlike_the_noise(block, observed, model, residuals)
+    warnings = _judge(block, fitted, model.fits, wild_pixels(observed, model)) + _unlike_the_noise(
+        block, observed, model, residuals
+    )
     for warning in warnings:
         log.warning(warning)
     datasets, metadata = smooth_model_datasets(model)
@@ -110,7 +115,27 @@ def _macro_columns(fitted: LensFit) -> tuple[list[FloatArray], FloatArray]:
     return [image @ axes for image in images], sigma
 
 
-def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit]) -> list[str]:
+def wild_pixels(observed: Observation, model: SmoothModel) -> dict[str, int]:
+    """How many pixels of each band a deflection of 1 mas changes by more than 3 sigma and the arc's own light.
+
+    Structure of the source that is far smaller than the distance of rays can fit single pixels with any amplitude:
+    chi2 does not tell, but in a mock the slightest deflection moves the rays off it.
+    """
+    found = {}
+    for band in observed.bands:
+        used, convolution = scan_band(observed, model, band.name)
+        amplitudes = model.fits[band.name].source_coefficients
+        light, along_x, along_y = (
+            lensed_image(model.sets, amplitudes, model.rays.source_x - x, model.rays.source_y - y, convolution)
+            for x, y in ((0.0, 0.0), (_SMALL_DEFLECTION, 0.0), (0.0, _SMALL_DEFLECTION))
+        )
+        change = np.hypot(along_x - light, along_y - light)
+        wild = change > np.maximum(_WILD_RESPONSE * used.sigma, np.abs(light))
+        found[band.name] = int(np.count_nonzero(wild & used.mask))
+    return found
+
+
+def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit], wild: dict[str, int]) -> list[str]:
     """What is wrong with a fit: raised, or returned as warnings if the configuration allows a poor fit."""
     problems = []
     if not fitted.converged:
@@ -131,6 +156,14 @@ def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit]) -
         "substructure look alike, do not trust a bound from this campaign"
         for name, fit in fits.items()
         if fit.chi2_red_outside_cores > high
+    ]
+    problems += [
+        f"{name}: a deflection of 1 mas changes {count} pixels by more than 3 sigma and more than their arc's "
+        "light: the source has structure that rays do not resolve, and mocks will be full of it; take fewer or "
+        "larger clumps (smooth_model.source.clumps), a smaller n_max, a larger smooth_model.ridge or more "
+        "supersampling"
+        for name, count in wild.items()
+        if count
     ]
     if problems and not block.allow_poor_fit:
         raise ValueError(
