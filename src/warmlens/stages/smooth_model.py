@@ -26,7 +26,10 @@ from warmlens.types import FloatArray
 log = logging.getLogger(__name__)
 
 _SMALL_DEFLECTION = 0.001  # arcsec, the rms of what substructure adds
-_WILD_RESPONSE = 3.0  # noise deviations by which it may change a pixel beyond the arc's own light
+_WILD_RESPONSE = (
+    3.0  # noise deviations by which it may change a pixel beyond the arc's own light: more is a warning,
+)
+_REFUSED_RESPONSE = 30.0  # and more than these are refused
 _CORRELATION_EXCESS = 0.1  # of neighbouring pixels' residuals over the noise of the mocks: more is a warning
 
 
@@ -36,8 +39,8 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
     Raises
     ------
     ValueError
-        If the fit did not converge, hit a limit, left chi2_red above the gate or has a source that rays do not
-        resolve, and `smooth_model.allow_poor_fit` is false.
+        If the fit did not converge, hit a limit, left chi2_red above the gate or has a source far finer than
+        rays resolve, and `smooth_model.allow_poor_fit` is false.
     """
     provenance = Provenance("smooth_model", settings.as_dict(), {"observation": observation})
     block = settings.smooth_model
@@ -115,8 +118,8 @@ def _macro_columns(fitted: LensFit) -> tuple[list[FloatArray], FloatArray]:
     return [image @ axes for image in images], sigma
 
 
-def wild_pixels(observed: Observation, model: SmoothModel) -> dict[str, int]:
-    """How many pixels of each band a deflection of 1 mas changes by more than 3 sigma and the arc's own light.
+def wild_pixels(observed: Observation, model: SmoothModel) -> dict[str, FloatArray]:
+    """Pixels of each band that a deflection of 1 mas changes by more than 3 sigma and their arc's light [sigma].
 
     Structure of the source that is far smaller than the distance of rays can fit single pixels with any amplitude:
     chi2 does not tell, but in a mock the slightest deflection moves the rays off it.
@@ -130,12 +133,14 @@ def wild_pixels(observed: Observation, model: SmoothModel) -> dict[str, int]:
             for x, y in ((0.0, 0.0), (_SMALL_DEFLECTION, 0.0), (0.0, _SMALL_DEFLECTION))
         )
         change = np.hypot(along_x - light, along_y - light)
-        wild = change > np.maximum(_WILD_RESPONSE * used.sigma, np.abs(light))
-        found[band.name] = int(np.count_nonzero(wild & used.mask))
+        wild = used.mask & (change > np.maximum(_WILD_RESPONSE * used.sigma, np.abs(light)))
+        found[band.name] = change[wild] / used.sigma[wild]
     return found
 
 
-def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit], wild: dict[str, int]) -> list[str]:
+def _judge(
+    block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit], wild: dict[str, FloatArray]
+) -> list[str]:
     """What is wrong with a fit: raised, or returned as warnings if the configuration allows a poor fit."""
     problems = []
     if not fitted.converged:
@@ -157,24 +162,25 @@ def _judge(block: SmoothModelBlock, fitted: LensFit, fits: dict[str, BandFit], w
         for name, fit in fits.items()
         if fit.chi2_red_outside_cores > high
     ]
-    problems += [
-        f"{name}: a deflection of 1 mas changes {count} pixels by more than 3 sigma and more than their arc's "
-        "light: the source has structure that rays do not resolve, and mocks will be full of it; take fewer or "
-        "larger clumps (smooth_model.source.clumps), a smaller n_max, a larger smooth_model.ridge or more "
-        "supersampling"
-        for name, count in wild.items()
-        if count
-    ]
-    if problems and not block.allow_poor_fit:
-        raise ValueError(
-            "\n".join(problems) + "\nsmooth_model.allow_poor_fit: true goes on all the same, with a warning"
-        )
-    return problems + [
+    notes = [
         f"{name}: chi2_red = {fit.chi2_red_outside_cores:.2f} of the smooth model lies below {low:g}: the noise "
         "is overestimated, or the model follows it"
         for name, fit in fits.items()
         if fit.chi2_red_outside_cores < low
     ]
+    for name, changes in wild.items():
+        if changes.size:
+            (problems if changes.max() > _REFUSED_RESPONSE else notes).append(
+                f"{name}: a deflection of 1 mas changes {changes.size} pixels by more than their arc's light, by "
+                f"up to {changes.max():.3g} sigma: the source has structure that rays do not resolve, and mocks "
+                "will be full of it; take fewer, larger or more significant clumps (smooth_model.source.clumps), "
+                "a smaller n_max, a larger smooth_model.ridge or more supersampling"
+            )
+    if problems and not block.allow_poor_fit:
+        raise ValueError(
+            "\n".join(problems) + "\nsmooth_model.allow_poor_fit: true goes on all the same, with a warning"
+        )
+    return problems + notes
 
 
 def residual_correlations(
