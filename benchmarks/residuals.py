@@ -25,8 +25,15 @@ from cloud import compare  # noqa: E402
 
 from warmlens.artifacts import open_artifact  # noqa: E402
 from warmlens.fitting.linear import LinearModel, solve  # noqa: E402
+from warmlens.imaging.observation import Band, Observation  # noqa: E402
 from warmlens.layout import SINGLE, stage_files  # noqa: E402
-from warmlens.stages.products import read_linear_model, read_observation, read_smooth_model, scan_band  # noqa: E402
+from warmlens.stages.products import (  # noqa: E402
+    SmoothModel,
+    read_linear_model,
+    read_observation,
+    read_smooth_model,
+    scan_band,
+)
 from warmlens.stages.samples import SampleTable  # noqa: E402
 from warmlens.status import read_campaign  # noqa: E402
 from warmlens.types import BoolArray, FloatArray  # noqa: E402
@@ -35,17 +42,12 @@ QUASAR_CORE, QUASAR_HALO, LENS_CORE = 0.25, 0.8, 0.3  # arcsec
 BRIGHTNESS = (-np.inf, 1.0, 3.0, 10.0, np.inf)  # edges, in noise deviations
 
 
-def regions(results: Path, band: str) -> dict[str, BoolArray]:
+def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, BoolArray]:
     """Pixels of each region [ny, nx], those that the fit leaves out not among them."""
-    observed, model = (
-        read_observation(results / SINGLE["observation"]),
-        read_smooth_model(results / SINGLE["smooth_model"]),
-    )
-    item = next(item for item in observed.bands if item.name == band)
-    fit = model.fits[band]
+    fit = model.fits[item.name]
     x, y = observed.grid.coordinates()
     to_quasar = np.min([np.hypot(x - x_i, y - y_i) for x_i, y_i in model.quasars], axis=0)
-    used = scan_band(observed, model, band)[0].mask
+    used = scan_band(observed, model, item.name)[0].mask
     brightness = (fit.model - fit.fixed_image) / item.sigma
     found = {
         f"arc at {low:g} to {high:g} sigma": used
@@ -92,7 +94,7 @@ def main() -> None:
     )
     written = {}
     for item in observed.bands:
-        weights, pixels = scan_band(observed, model, item.name)[0].weights, regions(results, item.name)
+        weights, pixels = scan_band(observed, model, item.name)[0].weights, regions(observed, model, item)
         with open_artifact(results / SINGLE["scan_design"], "scan_design") as design:
             linear = read_linear_model(design, item.name)
 

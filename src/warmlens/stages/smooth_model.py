@@ -26,10 +26,8 @@ from warmlens.types import FloatArray
 log = logging.getLogger(__name__)
 
 _SMALL_DEFLECTION = 0.001  # arcsec, the rms of what substructure adds
-_WILD_RESPONSE = (
-    3.0  # noise deviations by which it may change a pixel beyond the arc's own light: more is a warning,
-)
-_REFUSED_RESPONSE = 30.0  # and more than these are refused
+# Noise deviations by which it may change a pixel, if by more than the arc's own light: beyond the first a warning
+_WILD_RESPONSE, _REFUSED_RESPONSE = 3.0, 30.0
 _CORRELATION_EXCESS = 0.1  # of neighbouring pixels' residuals over the noise of the mocks: more is a warning
 
 
@@ -48,9 +46,8 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
     fitted = fit_lens(block, observed) if block.mode == "fit" else solve_given(block, observed)
     model = _product(block, observed, fitted)
     residuals = residual_correlations(block, observed, model)
-    warnings = _judge(block, fitted, model.fits, wild_pixels(observed, model)) + _unlike_the_noise(
-        block, observed, model, residuals
-    )
+    warnings = _judge(block, fitted, model.fits, wild_pixels(observed, model))
+    warnings += _unlike_the_noise(block, observed, model, residuals)
     for warning in warnings:
         log.warning(warning)
     datasets, metadata = smooth_model_datasets(model)
