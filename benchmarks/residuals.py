@@ -1,10 +1,14 @@
-"""Where does the smooth model fit the observation worse than mocks: chi2 a pixel of the scan's fit, by region.
+"""Where the smooth model fits the observation worse than mocks, and whether the source does it: residuals.
 
 python benchmarks/residuals.py results/hst_full --json FILE
 
-Arcs are told apart by their brightness in noise deviations of a pixel, away from the quasar images; cores are
-those of the quasar images and of the lens. Every image is fitted with all the freedom that the scan gives source
-and lens.
+chi2 a pixel by region: arcs are told apart by their brightness in noise deviations of a pixel, away from the
+quasar images; cores are those of the quasar images and of the lens. Every image is fitted with all the freedom that
+the scan gives source and lens.
+
+Residuals of two pixels of the bright arc that see the same point of the source in different images of it: light of
+the source that the basis cannot follow is missing in both, so that their mean product is positive, as large as the
+chi2 that it makes where the PSF resolves it. An error of PSF or lens is not shared by the images of one point.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ runtime.prepare()  # before numpy: one thread, and compiled kernels of this code
 
 import numpy as np  # noqa: E402
 from cloud import compare  # noqa: E402
+from scipy import sparse, spatial  # noqa: E402
 
 from warmlens.artifacts import open_artifact  # noqa: E402
 from warmlens.fitting.linear import LinearModel, solve  # noqa: E402
@@ -40,6 +45,8 @@ from warmlens.types import BoolArray, FloatArray  # noqa: E402
 
 QUASAR_CORE, QUASAR_HALO, LENS_CORE = 0.25, 0.8, 0.3  # arcsec
 BRIGHTNESS = (-np.inf, 1.0, 3.0, 10.0, np.inf)  # edges, in noise deviations
+SAME_POINT = (0.01, 0.02, 0.04)  # arcsec in the source plane, at most
+OTHER_IMAGE = 0.5  # arcsec on the sky, at least
 
 
 def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, BoolArray]:
@@ -61,14 +68,34 @@ def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, 
     return found
 
 
-def chi2_by_region(
-    images: FloatArray, weights: FloatArray, model: LinearModel, pixels: dict[str, BoolArray]
+def counterparts(observed: Observation, model: SmoothModel, pixels: BoolArray) -> dict[str, sparse.csr_array]:
+    """Pairs of these pixels that see one point of the source in two images, by how near: 1 / number of pairs."""
+    index = np.flatnonzero(pixels)
+    sky = np.stack(observed.grid.coordinates(), axis=-1).reshape(-1, 2)[index]
+    source = np.stack([model.rays.source_x.mean(axis=1), model.rays.source_y.mean(axis=1)], axis=-1)[index]
+    near = spatial.cKDTree(source).query_pairs(max(SAME_POINT), output_type="ndarray")
+    near = near[np.linalg.norm(sky[near[:, 0]] - sky[near[:, 1]], axis=1) > OTHER_IMAGE]
+    apart = np.linalg.norm(source[near[:, 0]] - source[near[:, 1]], axis=1)
+    found = {}
+    for low, high in itertools.pairwise((0.0, *SAME_POINT)):
+        i, j = index[near[(apart >= low) & (apart < high)]].T
+        weights = sparse.coo_array((np.full(len(i), 1.0 / len(i)), (i, j)), shape=(pixels.size, pixels.size))
+        found[f'counterparts, {low:g} to {high:g}" ({len(i)} pairs)'] = weights.tocsr()
+    return found
+
+
+def numbers(
+    images: FloatArray,
+    weights: FloatArray,
+    model: LinearModel,
+    pixels: dict[str, BoolArray],
+    pairs: dict[str, sparse.csr_array],
 ) -> Iterator[dict[str, float]]:
-    """Mean squared residual of each region, of each image [n, ny, nx]."""
+    """Of each image [n, ny, nx]: mean squared residual of each region, mean product over each kind of pairs."""
     whitened = (weights * images).reshape(len(images), -1).T
-    squares = solve(model, np.ascontiguousarray(whitened)).residual ** 2
-    for square in squares.T:
-        yield {name: float(square[region.ravel()].mean()) for name, region in pixels.items()}
+    for residual in solve(model, np.ascontiguousarray(whitened)).residual.T:
+        chi2 = {name: float((residual[region.ravel()] ** 2).mean()) for name, region in pixels.items()}
+        yield chi2 | {name: float(residual @ (pair @ residual)) for name, pair in pairs.items()}
 
 
 def mocks(paths: list[Path], stage: str, n_mocks: int, band: str) -> Iterator[FloatArray]:
@@ -97,8 +124,14 @@ def main() -> None:
         weights, pixels = scan_band(observed, model, item.name)[0].weights, regions(observed, model, item)
         with open_artifact(results / SINGLE["scan_design"], "scan_design") as design:
             linear = read_linear_model(design, item.name)
-
-        fit = functools.partial(chi2_by_region, weights=weights, model=linear, pixels=pixels)
+        brightest = pixels[f"arc at {BRIGHTNESS[-2]:g} to {BRIGHTNESS[-1]:g} sigma"]
+        fit = functools.partial(
+            numbers,
+            weights=weights,
+            model=linear,
+            pixels=pixels,
+            pairs=counterparts(observed, model, brightest),
+        )
         print(f"{item.name}: chi2 a pixel; pixels: {', '.join(f'{k} {v.sum()}' for k, v in pixels.items())}")
         clouds = {
             name: [

@@ -14,36 +14,41 @@ from warmlens.systematics_table import FAILED, Row, draw_table, print_table, wri
 
 ROOT = Path(__file__).parents[1]
 SHIPPED = ROOT / "workflow/configs/systematics.yaml"
+CHANGED_FIRST = {
+    "lens": ("smooth_model", "scan_design"),
+    "source": ("smooth_model",),
+    "psf": ("smooth_model",),
+    "mask": ("smooth_model",),
+    "haloes": ("halos",),
+    "filter": ("deflections",),
+}
 
 
+@pytest.mark.parametrize("shipped", [SHIPPED, ROOT / "workflow/configs/systematics_hst.yaml"])
 def test_every_shipped_variant_is_valid_and_changes_what_its_group_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, shipped: Path
 ) -> None:
     monkeypatch.chdir(ROOT)
-    block = read_systematics(SHIPPED)
+    monkeypatch.setenv("WARMLENS_HST_DATA", str(tmp_path))
+    block = read_systematics(shipped)
     layers = [Path("config.yaml"), *(Path(name) for name in block.base)]
     base = load_config(layers)
     overlays = write_overlays(block.model_copy(update={"results": str(tmp_path)}), base)
-    changed_first = {"lens": "smooth_model", "source": "smooth_model", "haloes": "halos", "filter": "deflections"}
     seen = set()
     for name, overlay in overlays.items():
         variant = load_config([*layers, overlay])
         assert variant.results == str(tmp_path / name)
-        assert variant.observation.artifact == "results/demo/observation.h5"
+        assert variant.observation.artifact == f"{base.results}/observation.h5"
         before, after = stage_digests(base), stage_digests(variant)
         changed = [stage for stage in after if before[stage] != after[stage] and stage != "observation"]
-        assert changed_first[block.variants[name].group] in changed
-        assert changed[0] in changed_first.values()
+        assert changed[0] in CHANGED_FIRST[block.variants[name].group]
         assert tuple(after.items()) not in seen, f"{name} is the same as another variant"
         seen.add(tuple(after.items()))
-    assert {
-        "shapelets_0",
-        "shapelets_10",
-        "source_global",
-        "source_nested",
-        "halos_paper",
-        "filter_starlet",
-    } <= set(overlays)
+
+
+def test_the_shipped_variants_hold_those_of_the_paper() -> None:
+    paper = {"shapelets_0", "shapelets_10", "source_global", "source_nested", "halos_paper", "filter_starlet"}
+    assert paper <= set(read_systematics(SHIPPED).variants)
 
 
 @pytest.mark.parametrize(
@@ -89,9 +94,9 @@ def test_a_failed_run_is_told_in_the_words_of_its_stage(tmp_path: Path) -> None:
 
 def test_table_and_figure(tmp_path: Path) -> None:
     numbers = {"bound_kev": 2.0, "mc_error_kev": 0.2, "prior_only_kev": 1.18, "n_accepted": 50, "n_samples": 250}
-    scan = {"n_below": 120, "c0": 3.5, "min_delta_r": -17.0, "chi2_red": {"F814W": 1.01}}
+    scan = {"n_below": 120, "c0": 3.5, "min_delta_r": -17.0, "chi2_red": {"F814W": 1.01}, "mean_z2": 1.3}
     rows = [
-        Row("base", "base", "", **numbers, **scan),
+        Row("base", "base", "", **numbers, **scan, null_n_below=100.0, null_mean_z2=1.0),
         Row("gated", "lens", "", FAILED, "chi2_red = 1.34 [F814W] above the gate"),
         Row("scan_only", "lens", "", **{**scan, "n_below": 300}),
         Row("other", "haloes", "", shift_kev=-0.5, **{**numbers, "bound_kev": 1.5}),
@@ -107,4 +112,6 @@ def test_table_and_figure(tmp_path: Path) -> None:
     shown = (tmp_path / "shown").read_text()
     assert "gated failed: chi2_red = 1.34 [F814W] above the gate" in shown
     assert "1.50 +- 0.20" in shown
+    assert "120 (100)" in shown
+    assert "1.30 (1.00)" in shown
     assert os.linesep.join(shown.splitlines()).count("failed") == 2

@@ -223,12 +223,17 @@ def systematics(
     config: Annotated[Path, typer.Option(help="Base campaign and variants.")] = Path(
         "workflow/configs/systematics.yaml"
     ),
+    configfile: ConfigFiles = None,
     cores: Annotated[int, typer.Option(help="For Snakemake.")] = 2,
 ) -> None:
-    """Run variants of a campaign on the same observation, and tell how the bound and the scan move."""
+    """Run variants of a campaign on the same observation, and tell how the bound and the scan move.
+
+    With --configfile they are variants of this campaign, not of the one that the file names, and go to
+    RESULTS_systematics.
+    """
     from warmlens.systematics import run
 
-    run(config, cores)
+    run(config, cores, configfile or ())
 
 
 @app.command()

@@ -59,7 +59,7 @@ class SystematicsBlock(Block):
     variants: dict[Name, VariantBlock]
 
 
-def run(path: Path, cores: int) -> list[Row]:
+def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> list[Row]:
     """Run the base campaign and every variant, as far as they are not finished; write table and figure.
 
     Parameters
@@ -68,6 +68,9 @@ def run(path: Path, cores: int) -> list[Row]:
         YAML file with a `SystematicsBlock`.
     cores
         For Snakemake.
+    base_overlays
+        Make the base campaign in place of those that the file names; table and variants then go to a folder
+        beside its results.
 
     Returns
     -------
@@ -83,8 +86,10 @@ def run(path: Path, cores: int) -> list[Row]:
     """
     console = Console(highlight=False, soft_wrap=True)
     block = read_systematics(path)
-    layers = [CONFIG, *(Path(name) for name in block.base)]
+    layers = [CONFIG, *(base_overlays or (Path(name) for name in block.base))]
     base = load_config(layers)
+    if base_overlays:
+        block = block.model_copy(update={"results": f"{base.results}_{NAME}"})
     overlays = write_overlays(block, base)
     configs = _load_variants(layers, overlays)
     started = time.monotonic()

@@ -18,12 +18,14 @@ from warmlens.artifacts import Artifact, ArtifactError, atomic_path, open_artifa
 from warmlens.config import Config
 from warmlens.inference.priors import HALO_MASS_PRIORS
 from warmlens.layout import SINGLE, stage_files
+from warmlens.stages.samples import SampleTable
 from warmlens.stages.settings import campaign_stages
 from warmlens.stages.summaries import COMBINED
 
 NAME = "systematics"
 DONE, FAILED = "done", "failed"
 PRIOR_GROUP = "halo-mass prior"
+_MEAN_Z2 = f"{COMBINED}/mean_z2"
 
 
 @dataclass(frozen=True)
@@ -47,8 +49,12 @@ class Row:
         Effective number of accepted samples under another prior.
     quotable
         As in abc.json.
-    n_below, c0, min_delta_r
-        Of the observation's scan, bands added: positions below the threshold, C(0), lowest Delta R.
+    n_below, c0, min_delta_r, mean_z2
+        Of the observation's scan, bands added: positions below the threshold, C(0), lowest Delta R, and the mean
+        of z^2 if the scan has the amplitude.
+    null_n_below, null_mean_z2
+        Their medians among the campaign's own mocks without substructure, if it has any: what smooth lens, source,
+        PSF and noise of this variant do by themselves.
     chi2_red
         Of the smooth model per band, outside the quasars' cores.
     computed
@@ -76,6 +82,9 @@ class Row:
     n_below: int | None = None
     c0: float | None = None
     min_delta_r: float | None = None
+    mean_z2: float | None = None
+    null_n_below: float | None = None
+    null_mean_z2: float | None = None
     chi2_red: dict[str, float] = field(default_factory=dict)
     computed: tuple[str, ...] = ()
     computed_s: float | None = None
@@ -151,8 +160,9 @@ def write_table(folder: Path, rows: Sequence[Row]) -> None:
 
 def print_table(rows: Sequence[Row], console: Console) -> None:
     """Print bound and scan of every variant, and why one has none."""
-    columns = ("variant", "bound [keV]", "prior", "shift", "as base", "n below", "C(0)", "min dR", "chi2_red")
-    table = Table(*columns, "core s", box=None)
+    columns = ("variant", "bound [keV]", "prior", "shift", "as base", "n below", "C(0)", "min dR", "z2")
+    table = Table(*columns, "chi2_red", "core s", box=None)
+    table.caption = "n below, z2: of the observation (median of the mocks without substructure)"
     for row in rows:
         bound = "" if row.bound_kev is None else f"{row.bound_kev:.2f} +- {row.mc_error_kev:.2f}"
         bound += " (do not quote)" if row.quotable is False else ""
@@ -162,13 +172,14 @@ def print_table(rows: Sequence[Row], console: Console) -> None:
             _text(row.prior_only_kev, ".2f"),
             _text(row.shift_kev, "+.2f"),
             "" if row.n_in_common is None else f"{row.n_in_common} of {row.n_accepted}",
-            _text(row.n_below, "d"),
+            _text(row.n_below, "d") + _bracketed(row.null_n_below, ".0f"),
             _text(row.c0, ".3g"),
             _text(row.min_delta_r, ".1f"),
+            _text(row.mean_z2, ".2f") + _bracketed(row.null_mean_z2, ".2f"),
             " ".join(f"{value:.3f}" for value in row.chi2_red.values()),
             _text(row.computed_s, ".0f"),
         )
-    wide = Console(file=console.file, highlight=False, width=max(console.width, 120))  # no cell is to be broken
+    wide = Console(file=console.file, highlight=False, width=max(console.width, 140))  # no cell is to be broken
     wide.print(table)
     for row in rows:
         if row.state == FAILED:
@@ -197,6 +208,10 @@ def draw_table(folder: Path, rows: Sequence[Row]) -> None:
 
 def _text(value: float | None, form: str) -> str:
     return "" if value is None else format(value, form)
+
+
+def _bracketed(value: float | None, form: str) -> str:
+    return "" if value is None else f" ({value:{form}})"
 
 
 def _file(config: Config, stage: str) -> Path:
@@ -243,8 +258,26 @@ def _scan_numbers(config: Config) -> dict[str, Any]:
         raise ArtifactError(f"{_file(config, 'observed_scan')}: no position of the raster sees an unmasked pixel")
     with open_artifact(_file(config, "observed_summary"), "observed_summary") as artifact:
         c0 = float(artifact.array(f"{COMBINED}/correlation")[0])
+        mean_z2 = float(artifact[_MEAN_Z2][()]) if _MEAN_Z2 in artifact.file else None
     n_below = int((delta_r < config.summaries.threshold).sum())
-    return {"chi2_red": chi2, "n_below": n_below, "c0": c0, "min_delta_r": float(delta_r.min())}
+    observed = {"n_below": n_below, "c0": c0, "min_delta_r": float(delta_r.min()), "mean_z2": mean_z2}
+    return {"chi2_red": chi2, **observed, **_null_numbers(config)}
+
+
+def _null_numbers(config: Config) -> dict[str, float]:
+    """Medians of the null test; none where the campaign has no null test, or did not get so far."""
+    if not _file(config, "null_summaries").exists():  # the last of its stages
+        return {}
+    with open_artifact(_file(config, "null_scans"), "null_scans") as artifact:
+        done = SampleTable.read(artifact).done
+        valid = artifact.array("raster/valid")
+        delta_r = np.sum([artifact.array(f"{band}/delta_r") for band in artifact.metadata["bands"]], axis=0)
+    n_below = (delta_r[done][:, valid] < config.summaries.threshold).sum(axis=1)
+    numbers = {"null_n_below": float(np.median(n_below))}
+    with open_artifact(_file(config, "null_summaries"), "null_summaries") as artifact:
+        if _MEAN_Z2 in artifact.file:
+            numbers["null_mean_z2"] = float(np.median(artifact.array(_MEAN_Z2)[done]))
+    return numbers
 
 
 def _cost(config: Config, base: Config) -> dict[str, Any]:
