@@ -3,8 +3,8 @@
 python benchmarks/residuals.py results/hst_full --json FILE
 
 chi2 a pixel by region: arcs are told apart by their brightness in noise deviations of a pixel, away from the
-quasar images; cores are those of the quasar images and of the lens. Every image is fitted with all the freedom that
-the scan gives source and lens.
+quasar images; cores are those of the quasar images and of the lens. Every image is fitted with all the freedom
+that the scan gives source and lens.
 
 Residuals of two pixels of the bright arc that see the same point of the source in different images of it: light of
 the source that the basis cannot follow is missing in both, so that their mean product is positive, as large as the
