@@ -1,10 +1,11 @@
-"""How deep an image would have to be: what a scan says of the relic mass with the noise of longer exposures.
+"""How deep an image, or how strong its substructure, would have to be for a scan to tell the relic mass.
 
-python benchmarks/depth.py results/paper_cold --samples 1000 --depths 1 10 100 --json FILE
+python benchmarks/depth.py results/paper_cold --samples 1000 --depths 1 10 100 --amplify 1 3 10 --json FILE
 
 The mocks of a campaign are drawn anew from their deflections, as if the exposure were D times as long, and scanned
 by the campaign's operator. It weighs pixels relative to one another: such an exposure makes every chi2 D times as
-large, and the thresholds of the campaign are for D Delta R. Source and lens keep their freedom.
+large, and the thresholds of the campaign are for D Delta R. Source and lens keep their freedom. `--amplify` bends
+the light that many times as much, at the depth of the campaign: what haloes would have to do.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import argparse
 import dataclasses
 import json
 from pathlib import Path
+from typing import NamedTuple
 
 from warmlens import runtime
 
@@ -47,26 +49,38 @@ def deeper(noise: NoiseModel, depth: float) -> NoiseModel:
     return NoiseModel(noise.background_rms / np.sqrt(depth), noise.exposure_s * depth, noise.correlation)
 
 
-def chunk_images(results: Path, path: Path, depth: float) -> tuple[FloatArray, dict[str, FloatArray]]:
+class Case(NamedTuple):
+    """Exposure over that of the campaign, and deflections over those of its haloes."""
+
+    depth: float
+    amplify: float
+
+    @property
+    def name(self) -> str:
+        """What is written of it."""
+        return f"depth x {self.depth:g}, deflections x {self.amplify:g}"
+
+
+def chunk_images(results: Path, path: Path, case: Case) -> tuple[FloatArray, dict[str, FloatArray]]:
     """Parameters (relic mass, log10 halo mass) of the good samples of a chunk [n, 2], and images by band."""
     config = read_campaign(results)
     observed = read_observation(results / SINGLE["observation"])
     model = read_smooth_model(results / SINGLE["smooth_model"])
     with open_artifact(path, "deflections") as artifact:
         table = SampleTable.read(artifact)
-        fields = artifact.array("delta_alpha").astype(np.float64)
+        fields = case.amplify * artifact.array("delta_alpha").astype(np.float64)
     good = np.flatnonzero(table.done)
     ids = table.parameters.sample_id
     images = {}
     for item in observed.bands:
         band, convolution = scan_band(observed, model, item.name)
-        noise = deeper(item.noise, depth)
+        noise = deeper(item.noise, case.depth)
         images[item.name] = np.stack(
             [
                 noise.draw(
                     noise_free_image(model, observed.grid, band, convolution, fields[row]),
                     band.sigma,
-                    stream(config.campaign.seed, f"depth {depth:g}", int(ids[row]), item.name),
+                    stream(config.campaign.seed, f"depth {case.depth:g}", int(ids[row]), item.name),
                 )
                 for row in good
             ]
@@ -101,21 +115,21 @@ def numbers(results: Path, maps: Maps, depth: float) -> dict[str, FloatArray]:
     }
 
 
-def rungs(results: Path, depth: float, n_samples: int, n_rows: int) -> list[Rung]:
-    """What the summaries are worth at a depth."""
+def rungs(results: Path, case: Case, n_samples: int, n_rows: int) -> list[Rung]:
+    """What the summaries are worth in a case."""
     config = read_campaign(results)
     parameters: list[FloatArray] = []
     parts: dict[str, list[FloatArray]] = {}
     for path in stage_files(config, "deflections"):
         if sum(map(len, parameters)) >= n_samples:
             break
-        known, images = chunk_images(results, path, depth)
+        known, images = chunk_images(results, path, case)
         parameters.append(known)
-        for name, values in numbers(results, scan(results, images), depth).items():
+        for name, values in numbers(results, scan(results, images), case.depth).items():
             parts.setdefault(name, []).append(values)
     whole = np.concatenate(parameters)[:n_samples]
     return [
-        worth(f"depth x {depth:g}: {name}", np.concatenate(values)[:n_samples], whole, config, n_rows)
+        worth(f"{case.name}: {name}", np.concatenate(values)[:n_samples], whole, config, n_rows)
         for name, values in parts.items()
     ]
 
@@ -127,12 +141,14 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=1000)
     parser.add_argument("--rows", type=int, default=300, help="samples that play the observation")
     parser.add_argument("--depths", type=float, nargs="+", default=[1.0, 10.0, 100.0])
+    parser.add_argument("--amplify", type=float, nargs="+", default=[1.0], help="deflections, at depth 1")
     parser.add_argument("--json", type=Path, help="write the numbers here")
     arguments = parser.parse_args()
     table = Table("", "r^2", "cold above warm", "information [nat]", "expected bound [keV]")
     found: list[Rung] = []
-    for depth in arguments.depths:
-        for rung in rungs(arguments.results, depth, arguments.samples, arguments.rows):
+    cases = dict.fromkeys([*(Case(d, 1.0) for d in arguments.depths), *(Case(1.0, a) for a in arguments.amplify)])
+    for case in cases:
+        for rung in rungs(arguments.results, case, arguments.samples, arguments.rows):
             gain = rung.gain
             cells = f"{rung.r_squared:.3f}", f"{rung.separation:.2f}"
             information = f"{gain.gain_nats:.3f} +- {gain.gain_error_nats:.3f}"
