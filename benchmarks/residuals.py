@@ -44,8 +44,9 @@ from warmlens.status import read_campaign  # noqa: E402
 from warmlens.types import BoolArray, FloatArray  # noqa: E402
 
 QUASAR_CORE, QUASAR_HALO, LENS_CORE = 0.25, 0.8, 0.3  # arcsec
-BRIGHTNESS = (-np.inf, 1.0, 3.0, 10.0, np.inf)  # edges, in noise deviations
-SAME_POINT = (0.01, 0.02, 0.04)  # arcsec in the source plane, at most
+BRIGHTNESS = (-np.inf, 1.0, 3.0, 10.0, 20.0, 40.0, np.inf)  # edges, in noise deviations
+BRIGHT_ARC = "arc above 10 sigma"
+SAME_POINT = (0.02, 0.04)  # arcsec in the source plane, at most
 OTHER_IMAGE = 0.5  # arcsec on the sky, at least
 
 
@@ -56,13 +57,12 @@ def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, 
     to_quasar = np.min([np.hypot(x - x_i, y - y_i) for x_i, y_i in model.quasars], axis=0)
     used = scan_band(observed, model, item.name)[0].mask
     brightness = (fit.model - fit.fixed_image) / item.sigma
+    away = used & (to_quasar > QUASAR_HALO)
     found = {
-        f"arc at {low:g} to {high:g} sigma": used
-        & (to_quasar > QUASAR_HALO)
-        & (brightness > low)
-        & (brightness <= high)
+        f"arc at {low:g} to {high:g} sigma": away & (brightness > low) & (brightness <= high)
         for low, high in itertools.pairwise(BRIGHTNESS)
     }
+    found[BRIGHT_ARC] = away & (brightness > 10.0)
     found["cores of quasar images"] = used & (to_quasar < QUASAR_CORE)
     found["core of the lens"] = used & (np.hypot(x, y) < LENS_CORE)
     return found
@@ -124,13 +124,12 @@ def main() -> None:
         weights, pixels = scan_band(observed, model, item.name)[0].weights, regions(observed, model, item)
         with open_artifact(results / SINGLE["scan_design"], "scan_design") as design:
             linear = read_linear_model(design, item.name)
-        brightest = pixels[f"arc at {BRIGHTNESS[-2]:g} to {BRIGHTNESS[-1]:g} sigma"]
         fit = functools.partial(
             numbers,
             weights=weights,
             model=linear,
             pixels=pixels,
-            pairs=counterparts(observed, model, brightest),
+            pairs=counterparts(observed, model, pixels[BRIGHT_ARC]),
         )
         print(f"{item.name}: chi2 a pixel; pixels: {', '.join(f'{k} {v.sum()}' for k, v in pixels.items())}")
         clouds = {
