@@ -303,6 +303,35 @@ def test_structure_that_rays_do_not_resolve(folder: Path, fitted: Path, observed
     assert smooth_model.wild_pixels(observed, finer)["F814W"].max() > 30.0
 
 
+def test_bright_arcs_that_are_fitted_worse_than_faint_ones_are_told(
+    folder: Path, observed: Observation, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Pixels wrong by 2% of the arcs' light: chi2 a pixel grows with the light."""
+    given = smooth_block() | {"mode": "given", "fit": None}
+    block = config(given).smooth_model
+    path = run(given, folder, "bright.h5")
+    model = read_smooth_model(path)
+    before = smooth_model.chi2_of_arcs(block, observed, model)["F814W"]
+    assert before.bright == pytest.approx(before.faint, abs=4.0 * np.sqrt(2.0 / before.n_bright))
+    fit = model.fits["F814W"]
+    light = fit.model - fit.fixed_image
+    wrong = 0.02 * light * np.random.default_rng(8).normal(size=light.shape)
+    band = observed.bands[0]
+    changed = replace(observed, bands=(replace(band, image=band.image + wrong),))
+    after = smooth_model.chi2_of_arcs(block, changed, model)["F814W"]
+    bright = light > 10.0 * fit.sigma
+    assert after.n_bright == before.n_bright > 100
+    assert after.bright - before.bright == pytest.approx(np.mean((wrong / fit.sigma)[bright] ** 2), rel=0.3)
+    monkeypatch.setattr(smooth_model, "chi2_of_arcs", lambda *_: {"F814W": after})
+    with open_artifact(run(given, folder, "worse.h5"), "smooth_model") as artifact:
+        (warning,) = artifact.metadata["warnings"]
+    assert f"chi2 a pixel is {after.bright:.2f} where the arcs exceed 10 sigma" in warning
+    few = after._replace(n_bright=10)  # their chi2 may scatter as much
+    monkeypatch.setattr(smooth_model, "chi2_of_arcs", lambda *_: {"F814W": few})
+    with open_artifact(run(given, folder, "few.h5"), "smooth_model") as artifact:
+        assert artifact.metadata["warnings"] == []
+
+
 def test_a_source_that_rays_do_not_resolve_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A little of it is a warning, much is refused."""
     block = smooth_block() | {"mode": "given", "fit": None}

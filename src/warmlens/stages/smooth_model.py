@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -29,6 +30,17 @@ _SMALL_DEFLECTION = 0.001  # arcsec, the rms of what substructure adds
 # Noise deviations by which it may change a pixel, if by more than the arc's own light: beyond the first a warning
 _WILD_RESPONSE, _REFUSED_RESPONSE = 3.0, 30.0
 _CORRELATION_EXCESS = 0.1  # of neighbouring pixels' residuals over the noise of the mocks: more is a warning
+_FAINT_ARC, _BRIGHT_ARC = 1.0, 10.0  # noise deviations of a pixel
+_BRIGHT_EXCESS, _BRIGHT_SIGNIFICANCE = 1.1, 5.0  # chi2 a pixel of bright arcs over that of faint ones: a warning
+
+
+class BrightAndFaint(NamedTuple):
+    """Pixels of the arcs above 10 sigma, and from 1 to 10: how many, and chi2 a pixel."""
+
+    n_bright: int
+    n_faint: int
+    bright: float
+    faint: float
 
 
 def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
@@ -47,7 +59,9 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
     model = _product(block, observed, fitted)
     residuals = residual_correlations(block, observed, model)
     warnings = _judge(block, fitted, model.fits, wild_pixels(observed, model))
-    warnings += _unlike_the_noise(block, observed, model, residuals)
+    warnings += _unlike_the_noise(block, observed, model, residuals) + _misfit_of_bright_arcs(
+        block, observed, model
+    )
     for warning in warnings:
         log.warning(warning)
     datasets, metadata = smooth_model_datasets(model)
@@ -210,6 +224,35 @@ def _unlike_the_noise(
                 f"{in_image[1]:.2f} along columns, the noise of the mocks by {in_mocks[0]:.2f} and "
                 f"{in_mocks[1]:.2f}: misfit, or noise that is correlated by drizzling; give "
                 "observation.fits.BAND.blank_sky_arcsec, where it is measured, or noise_correlation"
+            )
+    return warnings
+
+
+def chi2_of_arcs(block: SmoothModelBlock, observed: Observation, model: SmoothModel) -> dict[str, BrightAndFaint]:
+    """chi2 a pixel of each band where the arcs are bright and where they are faint, outside the quasars' cores."""
+    outside = outside_cores(block, observed.grid, model.quasars)
+    found = {}
+    for band in observed.bands:
+        fit = model.fits[band.name]
+        used = band.mask & np.isfinite(fit.sigma) & outside
+        light, square = (fit.model - fit.fixed_image) / fit.sigma, ((band.image - fit.model) / fit.sigma) ** 2
+        bright, faint = used & (light > _BRIGHT_ARC), used & (light > _FAINT_ARC) & (light <= _BRIGHT_ARC)
+        if bright.any() and faint.any():
+            numbers = int(bright.sum()), int(faint.sum())
+            found[band.name] = BrightAndFaint(*numbers, float(square[bright].mean()), float(square[faint].mean()))
+    return found
+
+
+def _misfit_of_bright_arcs(block: SmoothModelBlock, observed: Observation, model: SmoothModel) -> list[str]:
+    """Warnings: what is fitted worse the brighter it is, which no noise does; chi2 of the image can hide it."""
+    warnings = []
+    for name, chi2 in chi2_of_arcs(block, observed, model).items():
+        scatter = _BRIGHT_SIGNIFICANCE * math.sqrt(2.0 / chi2.n_bright + 2.0 / chi2.n_faint)
+        if chi2.bright > chi2.faint * max(_BRIGHT_EXCESS, 1.0 + scatter):
+            warnings.append(
+                f"{name}: chi2 a pixel is {chi2.bright:.2f} where the arcs exceed {_BRIGHT_ARC:g} sigma "
+                f"({chi2.n_bright} pixels) and {chi2.faint:.2f} where they are fainter: source, PSF or lens do "
+                "not follow the image where it says most; no mock has such a misfit, and it looks like subhaloes"
             )
     return warnings
 
