@@ -17,6 +17,7 @@ SHIPPED = ROOT / "workflow/configs/systematics.yaml"
 CHANGED_FIRST = {
     "lens": ("smooth_model", "scan_design"),
     "source": ("smooth_model",),
+    "source and lens": ("smooth_model",),
     "psf": ("smooth_model",),
     "mask": ("smooth_model",),
     "haloes": ("halos",),
