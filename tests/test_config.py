@@ -12,7 +12,7 @@ from warmlens.config import Config
 from warmlens.config_file import ConfigError, expand_path, load_config, parse_config
 
 ROOT = Path(__file__).parents[1]
-OVERLAYS = sorted(path for path in (ROOT / "workflow/configs").glob("*.yaml") if path.stem != "systematics")
+OVERLAYS = sorted(path for path in (ROOT / "workflow/configs").glob("*.yaml") if "systematics" not in path.stem)
 
 
 @pytest.fixture(scope="module")

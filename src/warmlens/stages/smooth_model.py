@@ -247,6 +247,8 @@ def _misfit_of_bright_arcs(block: SmoothModelBlock, observed: Observation, model
     """Warnings: what is fitted worse the brighter it is, which no noise does; chi2 of the image can hide it."""
     warnings = []
     for name, chi2 in chi2_of_arcs(block, observed, model).items():
+        if model.fits[name].chi2_red_outside_cores > block.chi2_red_range[1]:
+            continue  # misfit everywhere, which has its own warning
         scatter = _BRIGHT_SIGNIFICANCE * math.sqrt(2.0 / chi2.n_bright + 2.0 / chi2.n_faint)
         if chi2.bright > chi2.faint * max(_BRIGHT_EXCESS, 1.0 + scatter):
             warnings.append(
