@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
@@ -39,3 +41,12 @@ def test_scans(panel: Axes) -> None:
     assert list(drawn.get_xdata()) == [44, 80, 0]
     assert list(drawn.get_ydata()) == [-1.0, -4.0, -6.0]
     assert panel.get_xlim()[1] > 80
+    assert panel.get_legend() is None
+
+
+def test_scans_beside_mocks_without_substructure(panel: Axes) -> None:
+    draw_scans(panel, [replace(ROWS[0], null_n_below=90.5), *ROWS[1:]])
+    null = panel.lines[-1]
+    assert (list(null.get_xdata()), list(null.get_ydata())) == ([90.5], [-1.0])
+    assert panel.get_xlim()[1] > 90.5
+    assert [text.get_text() for text in panel.get_legend().get_texts()] == ["observation", "null mocks"]

@@ -44,6 +44,10 @@ class Variant(Protocol):
     def n_below(self) -> int | None:
         """Positions of the observation's scan below the threshold."""
 
+    @property
+    def null_n_below(self) -> float | None:
+        """Median of the same in the variant's mocks without substructure."""
+
 
 def line_heights(groups: Sequence[str]) -> list[float]:
     """Height of every variant's line, downwards from 0; a group is set off by one line for its name."""
@@ -97,12 +101,20 @@ def draw_bounds(ax: Axes, rows: Sequence[Variant]) -> None:
 
 
 def draw_scans(ax: Axes, rows: Sequence[Variant]) -> None:
-    """Positions of the observation's scan where a perturber improves the fit; lines as in `draw_bounds`."""
+    """Positions of the observation's scan where a perturber improves the fit; lines as in `draw_bounds`.
+
+    Beside it what mocks without substructure have: what exceeds them is misfit or substructure.
+    """
     heights = line_heights([row.group for row in rows])
     known = [(row.n_below, height) for row, height in zip(rows, heights, strict=True) if row.n_below is not None]
+    null = [(row.null_n_below, h) for row, h in zip(rows, heights, strict=True) if row.null_n_below is not None]
     if rows[0].n_below is not None:
         ax.axvline(rows[0].n_below, color=COLOUR, alpha=0.4, lw=1.0)
-    ax.plot([n for n, _ in known], [height for _, height in known], "o", ms=4, color=COLOUR)
-    ax.set_xlim(0.0, 1.1 * max([n for n, _ in known], default=1) or 1.0)
+    ax.plot([n for n, _ in known], [height for _, height in known], "o", ms=4, color=COLOUR, label="observation")
+    if null:
+        n_below, level = zip(*null, strict=True)
+        ax.plot(n_below, level, marker="|", ms=9, mew=1.4, color="black", ls="none", label="null mocks")
+        ax.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handletextpad=0.4)
+    ax.set_xlim(0.0, 1.1 * max([n for n, _ in (*known, *null)], default=1) or 1.0)
     ax.tick_params(axis="y", which="both", length=0)
     ax.set_xlabel(r"positions of the scan below the threshold")
