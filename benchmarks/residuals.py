@@ -51,7 +51,7 @@ OTHER_IMAGE = 0.5  # arcsec on the sky, at least
 
 
 def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, BoolArray]:
-    """Pixels of each region [ny, nx], those that the fit leaves out not among them."""
+    """Pixels of each region [ny, nx] that has any, those that the fit leaves out not among them."""
     fit = model.fits[item.name]
     x, y = observed.grid.coordinates()
     to_quasar = np.min([np.hypot(x - x_i, y - y_i) for x_i, y_i in model.quasars], axis=0)
@@ -65,7 +65,7 @@ def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, 
     found[BRIGHT_ARC] = away & (brightness > 10.0)
     found["cores of quasar images"] = used & (to_quasar < QUASAR_CORE)
     found["core of the lens"] = used & (np.hypot(x, y) < LENS_CORE)
-    return found
+    return {name: pixels for name, pixels in found.items() if pixels.any()}
 
 
 def counterparts(observed: Observation, model: SmoothModel, pixels: BoolArray) -> dict[str, sparse.csr_array]:

@@ -76,7 +76,7 @@ FreeRange = Annotated[tuple[Finite, Finite, Positive | None], AfterValidator(_fr
 class PotentialShapeletsBlock(Block):
     """Cartesian shapelets of the lens potential, about the first component's first centre."""
 
-    number: Literal[0, 1, 3, 6, 10, 15, 21, 28, 36]
+    number: Literal[0, 1, 3, 6, 10, 15, 21, 28, 36, 45, 55]
     beta_arcsec: Positive
     sigma: Positive
 
