@@ -64,7 +64,7 @@ def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, 
     }
     found[BRIGHT_ARC] = away & (brightness > 10.0)
     if not found[BRIGHT_ARC].any():
-        raise SystemExit(f"{item.name}: no arc exceeds 10 noise deviations of a pixel; there is nothing to compare")
+        raise SystemExit(f"{item.name}: no arc exceeds 10 noise deviations of a pixel: nothing to compare")
     found["cores of quasar images"] = used & (to_quasar < QUASAR_CORE)
     found["core of the lens"] = used & (np.hypot(x, y) < LENS_CORE)
     return {name: pixels for name, pixels in found.items() if pixels.any()}
