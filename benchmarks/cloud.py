@@ -18,10 +18,11 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from warmlens.artifacts import Artifact, open_artifact
-from warmlens.layout import SINGLE, stage_files
-from warmlens.stages.samples import SampleTable
-from warmlens.status import read_campaign
+from warmlens.artifacts.file import Artifact, open_artifact
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.status import read_campaign
+from warmlens.products.samples import SampleTable
 from warmlens.types import FloatArray
 
 FAINT, BRIGHT = 1.5, 4.0  # F / f below and above

@@ -20,24 +20,26 @@ from warmlens import runtime
 
 runtime.prepare()  # before numpy: one thread, and compiled kernels of this code
 
-import numpy as np  # noqa: E402
-from edge import Maps, scan  # noqa: E402
-from information import Rung, worth  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
+import numpy as np
+from edge import Maps, scan
+from information import Rung, worth
+from rich.console import Console
+from rich.table import Table
 
-from warmlens.artifacts import open_artifact  # noqa: E402
-from warmlens.campaign import stream  # noqa: E402
-from warmlens.imaging.noise import NoiseModel  # noqa: E402
-from warmlens.layout import SINGLE, stage_files  # noqa: E402
-from warmlens.stages.mocks import noise_free_image  # noqa: E402
-from warmlens.stages.products import read_observation, read_smooth_model, scan_band  # noqa: E402
-from warmlens.stages.samples import SampleTable  # noqa: E402
-from warmlens.status import read_campaign  # noqa: E402
-from warmlens.summaries.correlation import PairGeometry, correlation_function  # noqa: E402
-from warmlens.summaries.cumulative import cumulative_distribution  # noqa: E402
-from warmlens.summaries.response import amplitude_correlation, mean_square_significance  # noqa: E402
-from warmlens.types import FloatArray  # noqa: E402
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.status import read_campaign
+from warmlens.imaging.noise import NoiseModel
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import SampleTable
+from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.sampling import stream
+from warmlens.stages.mocks import noise_free_image
+from warmlens.summaries.correlation import PairGeometry, correlation_function
+from warmlens.summaries.cumulative import cumulative_distribution
+from warmlens.summaries.response import amplitude_correlation, mean_square_significance
+from warmlens.types import FloatArray
 
 FLOOR = 1e-4  # of C(dr) and the cumulative distribution, whose logarithms are regressed
 

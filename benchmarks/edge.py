@@ -18,23 +18,26 @@ from warmlens import runtime
 
 runtime.prepare()  # before numpy: one thread, and compiled kernels of this code
 
-import numpy as np  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
+import numpy as np
+from rich.console import Console
+from rich.table import Table
 
-from warmlens.artifacts import ArtifactError, open_artifact  # noqa: E402
-from warmlens.campaign import stream  # noqa: E402
-from warmlens.layout import SINGLE, stage_files  # noqa: E402
-from warmlens.stages.mocks import noise_free_image  # noqa: E402
-from warmlens.stages.observation import true_image  # noqa: E402
-from warmlens.stages.products import read_observation, read_smooth_model, scan_band  # noqa: E402
-from warmlens.stages.scans import Scanner  # noqa: E402
-from warmlens.stages.settings import ScanSettings, stage_settings  # noqa: E402
-from warmlens.status import read_campaign  # noqa: E402
-from warmlens.summaries.correlation import excess_residuals  # noqa: E402
-from warmlens.summaries.cumulative import counts_below  # noqa: E402
-from warmlens.summaries.response import mean_square_significance  # noqa: E402
-from warmlens.types import BoolArray, FloatArray  # noqa: E402
+from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.settings import stage_settings
+from warmlens.campaign.status import read_campaign
+from warmlens.products.observation import read_observation
+from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.sampling import stream
+from warmlens.stages.mocks import noise_free_image
+from warmlens.stages.observation import true_image
+from warmlens.stages.scans import Scanner
+from warmlens.stages.settings import ScanSettings
+from warmlens.summaries.correlation import excess_residuals
+from warmlens.summaries.cumulative import counts_below
+from warmlens.summaries.response import mean_square_significance
+from warmlens.types import BoolArray, FloatArray
 
 KINDS = ("fitted, smooth", "fitted, substructure", "true, smooth", "true, substructure")  # source, lens
 THRESHOLDS = (-10.0, -4.0)

@@ -22,14 +22,15 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from warmlens import front_end
-from warmlens.artifacts import ArtifactError, Provenance, open_artifact, write_artifact
-from warmlens.campaign import span_name
-from warmlens.config import Config
+from warmlens.artifacts.file import ArtifactError, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.names import CONFIG, SINGLE
+from warmlens.campaign import run as front_end
+from warmlens.campaign.files import chunks
+from warmlens.campaign.status import read_campaign
+from warmlens.config.model import Config
 from warmlens.imaging.observation import Observation
-from warmlens.layout import CONFIG, SINGLE, chunks
-from warmlens.stages.products import observation_datasets, read_observation
-from warmlens.status import read_campaign
+from warmlens.products.observation import observation_datasets, read_observation
+from warmlens.sampling import span_name
 from warmlens.summaries.response import mean_square_significance
 
 

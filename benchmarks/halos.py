@@ -24,8 +24,8 @@ from rich.table import Table
 
 from warmlens.cosmology import Cosmology, LensGeometry
 from warmlens.halos.dark_matter import ColdDarkMatter
+from warmlens.halos.lens_halo import HaloGenerator, HaloModel
 from warmlens.halos.merger_tree import BRANCHING, branching_table, grow_tree
-from warmlens.halos.population import HaloGenerator, HaloModel
 from warmlens.halos.power_spectrum import cdm_power, filtered_variance
 
 Z_LENS, Z_SOURCE, Z_END = 0.295, 0.658, 20.0

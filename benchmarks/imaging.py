@@ -20,9 +20,11 @@ from lenstronomy.LensModel.lens_model import LensModel
 from rich.console import Console
 from rich.table import Table
 
-from warmlens.config_file import load_config
+from warmlens.campaign.settings import stage_settings
+from warmlens.config.file import load_config
 from warmlens.cosmology import Cosmology, LensGeometry
-from warmlens.halos.population import Subhalos
+from warmlens.fitting.lens_fit import fit_lens
+from warmlens.halos.lens_halo import Subhalos
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import lensed_image, subpixel_field
 from warmlens.imaging.noise import NoiseModel
@@ -31,10 +33,9 @@ from warmlens.imaging.shapelets import ShapeletSet, n_coefficients
 from warmlens.lensing.deflection import tnfw_angular_scales, tnfw_deflection
 from warmlens.lensing.high_pass import margin_pixels
 from warmlens.lensing.substructure import filtered_deflection
+from warmlens.products.observation import read_observation
 from warmlens.stages import observation
-from warmlens.stages.lens_fit import fit_lens
-from warmlens.stages.products import read_observation
-from warmlens.stages.settings import ObservationSettings, stage_settings
+from warmlens.stages.settings import ObservationSettings
 from warmlens.types import FloatArray
 
 ROOT = Path(__file__).parents[1]

@@ -16,15 +16,15 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as Printed
 
-from warmlens.campaign import stream
 from warmlens.inference.acceptance import KINDS
 from warmlens.inference.analysis import analyse
 from warmlens.inference.calibration import leave_one_out
 from warmlens.inference.combine import cold_ratios, forecast
 from warmlens.inference.convergence import threshold_convergence
-from warmlens.inference.null_test import null_test
+from warmlens.inference.null import null_test
 from warmlens.inference.summary_sets import SETS, Summary, learned_points, points, summary_set
 from warmlens.inference.table import Table
+from warmlens.sampling import stream
 from warmlens.types import FloatArray
 
 PRIOR, HALO = (1.0, 5.0), (13.0, 13.5)

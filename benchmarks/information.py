@@ -23,19 +23,20 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table as Printed
 
-from warmlens.artifacts import open_artifact
-from warmlens.campaign import stream
-from warmlens.config import Config
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.status import read_campaign
+from warmlens.config.model import Config
 from warmlens.inference.calibration import leave_one_out
 from warmlens.inference.information import Information, information
+from warmlens.inference.learned import learned_summaries
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE
 from warmlens.inference.table import Table
-from warmlens.layout import SINGLE, stage_files
-from warmlens.stages.abc_tables import read_summaries, read_table
-from warmlens.stages.products import read_observation
-from warmlens.stages.samples import OK
-from warmlens.status import read_campaign
-from warmlens.summaries.learned import learned_summaries
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import OK
+from warmlens.sampling import stream
+from warmlens.stages.abc.tables import read_summaries, read_table
 from warmlens.types import BoolArray, FloatArray
 
 mpl.use("agg")
@@ -149,8 +150,8 @@ def draw(found: list[Rung], prior_kev: float, output: Path) -> None:
     """Information and expected bound, a line a rung."""
     import matplotlib.pyplot as plt
 
-    from warmlens.plots.bounds import HEAD_COLOUR, OTHER_COLOUR
-    from warmlens.plots.style import FULL_WIDTH_INCH, house_style
+    from warmlens.figures.draw.bounds import HEAD_COLOUR, OTHER_COLOUR
+    from warmlens.figures.draw.style import FULL_WIDTH_INCH, house_style
 
     with house_style():
         figure, axes = plt.subplots(1, 2, figsize=(FULL_WIDTH_INCH, 1.2 + 0.3 * len(found)), sharey=True)

@@ -27,31 +27,28 @@ from warmlens import runtime
 
 runtime.prepare()  # before numpy: one thread, and compiled kernels of this code
 
-import numpy as np  # noqa: E402
-from edge import scan, statistics  # noqa: E402
-from lenstronomy.LensModel.lens_model import LensModel  # noqa: E402
-from residuals import BRIGHT_ARC, counterparts, numbers, regions  # noqa: E402
-from rich.console import Console  # noqa: E402
-from rich.table import Table  # noqa: E402
-from scipy import fft, ndimage  # noqa: E402
+import numpy as np
+from edge import scan, statistics
+from lenstronomy.LensModel.lens_model import LensModel
+from residuals import BRIGHT_ARC, counterparts, numbers, regions
+from rich.console import Console
+from rich.table import Table
+from scipy import fft, ndimage
 
-from warmlens.artifacts import open_artifact  # noqa: E402
-from warmlens.campaign import stream  # noqa: E402
-from warmlens.imaging.mock import lensed_image  # noqa: E402
-from warmlens.imaging.observation import Band, Observation  # noqa: E402
-from warmlens.imaging.psf import Convolution, fwhm  # noqa: E402
-from warmlens.imaging.shapelets import surface_brightness  # noqa: E402
-from warmlens.layout import SINGLE, stage_files  # noqa: E402
-from warmlens.stages.mocks import noise_free_image  # noqa: E402
-from warmlens.stages.products import (  # noqa: E402
-    SmoothModel,
-    read_linear_model,
-    read_observation,
-    read_smooth_model,
-    scan_band,
-)
-from warmlens.status import read_campaign  # noqa: E402
-from warmlens.types import FloatArray  # noqa: E402
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.status import read_campaign
+from warmlens.imaging.mock import lensed_image
+from warmlens.imaging.observation import Band, Observation
+from warmlens.imaging.psf import Convolution, fwhm
+from warmlens.imaging.shapelets import surface_brightness
+from warmlens.products.observation import read_observation
+from warmlens.products.scan_operator import read_linear_model
+from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.sampling import stream
+from warmlens.stages.mocks import noise_free_image
+from warmlens.types import FloatArray
 
 BROADER, PSF_PIXELS = 0.1, 0.1  # FWHM of the PSF, each of its pixels
 SPOT_SIGMA, N_SPOTS = 0.015, 200  # arcsec in the source plane

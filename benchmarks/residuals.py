@@ -24,24 +24,21 @@ from warmlens import runtime
 
 runtime.prepare()  # before numpy: one thread, and compiled kernels of this code
 
-import numpy as np  # noqa: E402
-from cloud import compare  # noqa: E402
-from scipy import sparse, spatial  # noqa: E402
+import numpy as np
+from cloud import compare
+from scipy import sparse, spatial
 
-from warmlens.artifacts import open_artifact  # noqa: E402
-from warmlens.fitting.linear import LinearModel, solve  # noqa: E402
-from warmlens.imaging.observation import Band, Observation  # noqa: E402
-from warmlens.layout import SINGLE, stage_files  # noqa: E402
-from warmlens.stages.products import (  # noqa: E402
-    SmoothModel,
-    read_linear_model,
-    read_observation,
-    read_smooth_model,
-    scan_band,
-)
-from warmlens.stages.samples import SampleTable  # noqa: E402
-from warmlens.status import read_campaign  # noqa: E402
-from warmlens.types import BoolArray, FloatArray  # noqa: E402
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.status import read_campaign
+from warmlens.fitting.linear import LinearModel, solve
+from warmlens.imaging.observation import Band, Observation
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import SampleTable
+from warmlens.products.scan_operator import read_linear_model
+from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.types import BoolArray, FloatArray
 
 QUASAR_CORE, QUASAR_HALO, LENS_CORE = 0.25, 0.8, 0.3  # arcsec
 BRIGHTNESS = (-np.inf, 1.0, 3.0, 10.0, 20.0, 40.0, np.inf)  # edges, in noise deviations

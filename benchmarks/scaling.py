@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warmlens.layout import CHUNKED
+from warmlens.artifacts.names import CHUNKED
 
 LARGER = (10_000, 100_000, 1_000_000)
 _CHUNK = re.compile(r"(\d{7})-(\d{7})")

@@ -18,23 +18,23 @@ from warmlens import runtime
 
 runtime.prepare()  # before numpy: one thread, and compiled kernels of this code
 
-import numpy as np  # noqa: E402
-from lenstronomy.LensModel.lens_model import LensModel  # noqa: E402
-from scipy import linalg  # noqa: E402
+import numpy as np
+from lenstronomy.LensModel.lens_model import LensModel
+from scipy import linalg
 
-from warmlens.fitting.linear import LinearModel, build_linear_model, physical_coefficients, solve  # noqa: E402
-from warmlens.imaging.grid import PixelGrid  # noqa: E402
-from warmlens.imaging.psf import Convolution, hst_like_psf, point_source  # noqa: E402
-from warmlens.imaging.shapelets import ShapeletSet, pixel_basis  # noqa: E402
-from warmlens.lensing.rays import SmoothRays  # noqa: E402
-from warmlens.scan.apply import delta_r, delta_r_and_response  # noqa: E402
-from warmlens.scan.maps import residual_images, residual_maps  # noqa: E402
-from warmlens.scan.nested import NestedShapelets  # noqa: E402
-from warmlens.scan.operator import OperatorShard, build_shard, project_band  # noqa: E402
-from warmlens.scan.perturber import Perturber  # noqa: E402
-from warmlens.scan.raster import Raster  # noqa: E402
-from warmlens.scan.response import LinearResponse, expected_delta_r  # noqa: E402
-from warmlens.types import FloatArray  # noqa: E402
+from warmlens.fitting.linear import LinearModel, build_linear_model, physical_coefficients, solve
+from warmlens.imaging.grid import PixelGrid
+from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
+from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
+from warmlens.lensing.rays import SmoothRays
+from warmlens.scan.apply import delta_r, delta_r_and_response
+from warmlens.scan.maps import residual_images, residual_maps
+from warmlens.scan.nested import NestedShapelets
+from warmlens.scan.operator import OperatorShard, build_shard, project_band
+from warmlens.scan.perturber import Perturber
+from warmlens.scan.raster import Raster
+from warmlens.scan.response import LinearResponse, expected_delta_r
+from warmlens.types import FloatArray
 
 QUASARS = ((-2.037, -0.520), (-2.076, 0.662), (-1.460, -1.632), (1.074, 0.356))
 SOURCE = (-0.503, -0.058)

@@ -16,11 +16,11 @@ import matplotlib as mpl
 import numpy as np
 from scipy.stats import rankdata
 
-from warmlens.artifacts import open_artifact
-from warmlens.layout import stage_files
-from warmlens.plots.style import house_style
-from warmlens.stages.samples import OK
-from warmlens.status import read_campaign
+from warmlens.artifacts.file import open_artifact
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.status import read_campaign
+from warmlens.figures.draw.style import house_style
+from warmlens.products.samples import OK
 from warmlens.types import FloatArray
 
 mpl.use("agg")

@@ -23,13 +23,20 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, content_digest, open_artifact, write_artifact
-from warmlens.audit import read_header
-from warmlens.config import Config
-from warmlens.layout import CONFIG, CRATE, MANIFEST
-from warmlens.manifest import artifact_files, derived_files
-from warmlens.snakemake_command import SNAKEMAKE, remaking_command
-from warmlens.status import read_campaign
+from warmlens.artifacts.chain import read_header
+from warmlens.artifacts.file import (
+    ArtifactError,
+    Dataset,
+    Provenance,
+    content_digest,
+    open_artifact,
+    write_artifact,
+)
+from warmlens.artifacts.names import CONFIG, CRATE, MANIFEST
+from warmlens.audit.manifest import artifact_files, derived_files
+from warmlens.campaign.snakemake import SNAKEMAKE, remaking_command
+from warmlens.campaign.status import read_campaign
+from warmlens.config.model import Config
 
 TARGET = 0.05
 

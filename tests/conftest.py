@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from warmlens import runtime
-from warmlens.config import Config
-from warmlens.config_file import load_config
+from warmlens.config.file import load_config
+from warmlens.config.model import Config
 
 from .reliability import Recorder, outcome
 
@@ -28,7 +28,7 @@ _ORDER = (
     "slurm/",  # waits most of the time
     "workflow/test_campaign.py::test_campaign_is_complete",  # runs the campaign of all, and compiles the kernels
     # need no kernels, or not many: not to wait for it meanwhile
-    *("inference/", "security/", "summaries/", "plots/", "science/test_inference", "stages/test_abc.py"),
+    *("inference/", "security/", "summaries/", "figures/draw/", "science/test_inference", "stages/test_abc.py"),
     *("workflow/", "docs/"),  # long, each of them
 )
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from warmlens.cli import app
-from warmlens.config import Config
-from warmlens.config_reference import comments, explanations, keys, missing, reference
+from warmlens.cli.main import app
+from warmlens.config.model import Config
+from warmlens.config.reference import comments, explanations, keys, missing, reference
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "config.yaml").read_text()

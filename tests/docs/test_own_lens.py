@@ -16,13 +16,14 @@ import pytest
 import yaml
 from astropy.io import fits
 
-from warmlens.artifacts import open_artifact
-from warmlens.config_file import load_config
-from warmlens.config_smooth_model import SmoothModelBlock
-from warmlens.preflight import check_observation
+from warmlens.artifacts.file import open_artifact
+from warmlens.campaign.preflight import check_observation
+from warmlens.campaign.settings import stage_settings
+from warmlens.config.file import load_config
+from warmlens.config.smooth_model import SmoothModelBlock
+from warmlens.products.observation import read_observation
 from warmlens.stages import observation, smooth_model
-from warmlens.stages.products import read_observation
-from warmlens.stages.settings import ObservationSettings, SmoothModelSettings, stage_settings
+from warmlens.stages.settings import ObservationSettings, SmoothModelSettings
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent

@@ -9,12 +9,13 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from warmlens.config import Config
-from warmlens.config_file import load_config, parse_config
+from warmlens.artifacts.names import CONFIG, NUMBERS, TABLE
+from warmlens.campaign.files import chunks, shards, stage_files
+from warmlens.campaign.settings import stage_settings
+from warmlens.config.file import load_config, parse_config
+from warmlens.config.model import Config
 from warmlens.figures import registry
-from warmlens.layout import CONFIG, NUMBERS, TABLE, chunks, shards, stage_files
 from warmlens.stages import (
-    abc,
     deflections,
     halos,
     mocks,
@@ -24,7 +25,7 @@ from warmlens.stages import (
     smooth_model,
     summaries,
 )
-from warmlens.stages.settings import stage_settings
+from warmlens.stages.abc import run as abc
 
 from ..shared import shared_folder
 

@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.config import Config
-from warmlens.config_file import parse_config
+from warmlens.config.file import parse_config
+from warmlens.config.model import Config
 from warmlens.figures import halos, registry
-from warmlens.halos.whole_halo import MASS_BINS
-from warmlens.plots.style import house_style
-from warmlens.stages.halos import geometry
+from warmlens.figures.draw.style import house_style
+from warmlens.halos.population import MASS_BINS
+from warmlens.physics import geometry
 
 
 @pytest.fixture(scope="module")

@@ -7,17 +7,18 @@ from collections.abc import Callable
 import numpy as np
 import pandas as pd
 
-from warmlens.artifacts import open_artifact
-from warmlens.config import Config
+from warmlens.artifacts.file import open_artifact
+from warmlens.campaign.files import stage_files
+from warmlens.config.model import Config
+from warmlens.figures.draw.psf import radial_profile
+from warmlens.figures.draw.style import house_style
 from warmlens.figures.inputs import figure_inputs
 from warmlens.figures.maps import SampleMaps, draw_halo_maps, read_halo_maps
 from warmlens.figures.recipe import map_table
 from warmlens.imaging.grid import PixelGrid
-from warmlens.layout import stage_files
-from warmlens.plots.psf import radial_profile
-from warmlens.plots.style import house_style
-from warmlens.stages.deflections import read_subhalos
-from warmlens.stages.products import read_observation, read_smooth_model
+from warmlens.products.halos import read_subhalos
+from warmlens.products.observation import read_observation
+from warmlens.products.smooth_model import read_smooth_model
 
 Tables = Callable[[str], pd.DataFrame]
 

@@ -12,14 +12,15 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts import open_artifact
-from warmlens.config import Config
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import NUMBERS
+from warmlens.campaign.files import stage_files
+from warmlens.config.model import Config
 from warmlens.figures.calibration import CalibrationFigure, draw_calibration
 from warmlens.figures.checks import ConvergenceFigure, PredictiveFigure, draw_convergence, draw_predictive
+from warmlens.figures.draw.bounds import BoundRow
+from warmlens.figures.draw.style import house_style
 from warmlens.figures.posterior import LikelihoodFigure, draw_likelihood
-from warmlens.layout import NUMBERS, stage_files
-from warmlens.plots.bounds import BoundRow
-from warmlens.plots.style import house_style
 
 Tables = Callable[[str], pd.DataFrame]
 

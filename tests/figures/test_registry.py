@@ -11,13 +11,14 @@ import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from warmlens.artifacts import ArtifactError
-from warmlens.cli import app
-from warmlens.config import Config
+from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.names import CONFIG, FIGURES
+from warmlens.campaign.files import stage_files
+from warmlens.cli.main import app
+from warmlens.config.model import Config
 from warmlens.figures import CAPTIONS, registry
 from warmlens.figures.inputs import NEEDED, figure_inputs, find_inputs
 from warmlens.figures.recipe import Recipe
-from warmlens.layout import CONFIG, FIGURES, stage_files
 
 PAPER = {str(number) for number in range(1, 9)}
 

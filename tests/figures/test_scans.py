@@ -9,13 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts import Artifact, ArtifactError, Provenance, open_artifact, write_artifact
-from warmlens.config import Config
-from warmlens.config_file import parse_config
+from warmlens.artifacts.file import Artifact, ArtifactError, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.names import CONFIG
+from warmlens.campaign.files import stage_files
+from warmlens.config.file import parse_config
+from warmlens.config.model import Config
 from warmlens.figures.inputs import find_inputs
 from warmlens.figures.planes import read_lens_planes, read_source_planes
 from warmlens.figures.samples import heavy_and_light, warm_to_cold
-from warmlens.layout import CONFIG, stage_files
 
 BANDS = ("F814W", "F555W")
 

@@ -11,8 +11,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts import ArtifactError, open_artifact
-from warmlens.config import Config
+from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.campaign.files import stage_files
+from warmlens.config.model import Config
+from warmlens.figures.draw.style import house_style
 from warmlens.figures.inputs import figure_inputs
 from warmlens.figures.samples import group_values
 from warmlens.figures.summaries import (
@@ -22,8 +24,6 @@ from warmlens.figures.summaries import (
     read_paper_correlations,
     read_summaries,
 )
-from warmlens.layout import stage_files
-from warmlens.plots.style import house_style
 
 
 @pytest.fixture(scope="module")

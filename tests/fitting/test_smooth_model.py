@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from warmlens.config_smooth_model import SmoothModelBlock
+from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.fitting.image_model import ImageModel, Solution
+from warmlens.fitting.lens_fit import first_model, outside_cores, with_noise
 from warmlens.fitting.linear import solve
 from warmlens.fitting.smooth_model import FixedColumns, band_fit, linear_model
 from warmlens.imaging.grid import PixelGrid
@@ -18,7 +19,6 @@ from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
-from warmlens.stages.lens_fit import first_model, outside_cores, with_noise
 from warmlens.types import BoolArray, FloatArray
 
 GRID = PixelGrid.centred((40, 40), 0.05)

@@ -9,7 +9,7 @@ import pytest
 from warmlens.halos.barrier import barrier_ratio
 from warmlens.halos.dark_matter import TRANSFER_INDEX, ColdDarkMatter, DarkMatter, ThermalRelic, dark_matter
 from warmlens.halos.model import HaloModel
-from warmlens.halos.whole_halo import HaloPopulation
+from warmlens.halos.population import HaloPopulation
 
 # keV: alpha [Mpc/h], half-mode k [h/Mpc], half-mode mass [Msun]
 VIEL = {

@@ -5,195 +5,124 @@ import math
 
 import numpy as np
 import pytest
+from scipy.stats import kstest, norm
 
-from warmlens.halos.dark_matter import ThermalRelic
-from warmlens.halos.population import MASS_BINS, VMAX_BINS, HaloGenerator, HaloModel
-from warmlens.halos.profiles import nfw_norm, tnfw_total_mass
+from warmlens.halos.dark_matter import ColdDarkMatter, ThermalRelic
+from warmlens.halos.model import HaloModel
+from warmlens.halos.population import MASS_BINS, VMAX_BINS, HaloPopulation
 
-WHOLE_HALO_ARCSEC = 1e4
-
-
-@pytest.fixture(scope="module")
-def generator(cosmology, geometry):
-    return HaloGenerator(cosmology, geometry, HaloModel(min_mass_msun=1e8))
+MODEL = HaloModel(min_mass_msun=1e8, tau_dyn="jvdb16")
+COLD = ColdDarkMatter()
 
 
-def draw(generator, m_th_kev=math.inf, m_halo=1e13, half_width=WHOLE_HALO_ARCSEC, seed=1):
-    return generator.draw(m_th_kev, m_halo, half_width, np.random.default_rng(seed))
+def population(cosmology, z_root=0.295, **change):
+    return HaloPopulation(cosmology, z_root, dataclasses.replace(MODEL, **change))
 
 
-def columns(realization):
-    return vars(realization.subhalos)
+def draw(drawn_from, dark_matter=COLD, m_halo=1e13, seed=1):
+    return drawn_from.draw(dark_matter, m_halo, np.random.default_rng(seed))
 
 
-def assert_identical(first, second):
-    for name, values in columns(first).items():
-        np.testing.assert_array_equal(values, columns(second)[name], err_msg=name)
-    for field in dataclasses.fields(first):
-        if field.name != "subhalos":
-            np.testing.assert_array_equal(
-                getattr(first, field.name), getattr(second, field.name), err_msg=field.name
-            )
+def arrays(halo):
+    return {name: values for name, values in vars(halo).items() if isinstance(values, np.ndarray)}
 
 
-def test_same_seed_same_halo(generator, cosmology, geometry):
-    other = HaloGenerator(cosmology, geometry, HaloModel(min_mass_msun=1e8))
-    draw(other, m_th_kev=2.0)  # draws in between change nothing
-    assert_identical(draw(generator), draw(other))
-    assert draw(generator, seed=2).n_accreted != draw(generator).n_accreted
-
-
-def test_global_random_state_is_neither_used_nor_changed(generator):
-    np.random.seed(1)  # noqa: NPY002
-    before = np.random.get_state()[1].copy()  # noqa: NPY002
-    first = draw(generator)
-    np.testing.assert_array_equal(np.random.get_state()[1], before)  # noqa: NPY002
-    np.random.seed(2)  # noqa: NPY002
-    assert_identical(first, draw(generator))
-
-
-def test_limit_of_heavy_particles_is_cold_bit_by_bit(generator):
-    assert_identical(draw(generator, m_th_kev=math.inf), draw(generator, m_th_kev=1e30))
-
-
-def test_columns_are_consistent(generator):
-    subhalos = draw(generator, m_th_kev=3.0).subhalos
-    assert subhalos.m_bound.size > 50
-    for name, values in vars(subhalos).items():
-        assert values.dtype == np.float64, name
-        assert values.shape == subhalos.m_bound.shape, name
+@pytest.mark.parametrize("z_root", [0.0, 0.295, 2.0])
+@pytest.mark.parametrize("m_th_kev", [2.0, math.inf])
+@pytest.mark.parametrize("positions", ["nfw_host", "nfw_infall", "orbit_infall"])
+def test_halo_at_any_redshift_is_consistent(z_root, m_th_kev, positions, cosmology):
+    dark_matter = COLD if m_th_kev == math.inf else ThermalRelic(m_th_kev, cosmology)
+    halo = draw(population(cosmology, z_root, positions=positions), dark_matter, 10**12.5)
+    assert halo.n_surviving > 5
+    for name, values in arrays(halo).items():
+        assert values.shape == (halo.n_surviving,), name
         assert np.all(np.isfinite(values)), name
-    assert np.all((subhalos.m_bound >= 1e8) & (subhalos.m_bound < subhalos.m_acc))
-    assert np.all((subhalos.z_acc > 0.295) & (subhalos.z_acc < 20.0))
-    assert np.all(subhalos.concentration >= 1.5)
-    tau = subhalos.r_t_kpc / subhalos.r_s_kpc
-    total = nfw_norm(subhalos.r_s_kpc, subhalos.rho_s) * tnfw_total_mass(tau)
-    np.testing.assert_allclose(total, subhalos.m_bound, rtol=5e-6)
+        assert np.all(values >= 0.0), name
+    assert np.all((halo.z_acc > z_root) & (halo.z_acc < 20.0))
+    assert np.all((halo.m_bound >= 1e8) & (halo.m_bound < halo.m_acc))
+    assert np.all(halo.m_acc < 0.5 * 10**12.5)  # the trunk is the heavier progenitor
+    assert np.all(halo.r_t_kpc > 0.0)
+    assert np.all((halo.circularity > 0.0) & (halo.circularity < 1.0))
+    assert 0.0 < halo.f_sub < 1.0
+    assert halo.n_accreted == halo.n_friction + halo.n_stripped_below + halo.n_surviving
 
 
-def test_counts_and_whole_halo_functions_are_consistent(generator):
-    r = draw(generator)
-    mass, v_max = r.subhalos.m_bound, r.subhalos.v_max_kms
-    assert r.n_accreted == r.n_friction + r.n_stripped_below + r.n_surviving
-    assert min(r.n_friction, r.n_stripped_below, r.n_surviving) > 0
-    assert mass.size == r.n_surviving
-    assert r.f_sub == pytest.approx(mass.sum() / 1e13)
-    np.testing.assert_array_equal(r.cumulative_mass_function, [(mass > 10**b).sum() for b in MASS_BINS])
-    np.testing.assert_array_equal(r.cumulative_vmax_function, [(v_max > b).sum() for b in VMAX_BINS])
-    assert r.cumulative_mass_function[0] == r.n_surviving
-    assert 0.295 < r.z_half < 20.0
-    assert r.tree_steps > r.n_accreted
+def test_cumulative_functions_count_the_survivors(cosmology):
+    halo = draw(population(cosmology, 0.0))
+    np.testing.assert_array_equal(halo.cumulative_mass_function, [(halo.m_bound > 10**b).sum() for b in MASS_BINS])
+    np.testing.assert_array_equal(halo.cumulative_vmax_function, [(halo.v_max_kms > b).sum() for b in VMAX_BINS])
+    assert halo.f_sub == pytest.approx(halo.m_bound.sum() / 1e13)
 
 
-def test_field_cuts_out_of_the_same_halo(generator):
-    whole, field = draw(generator), draw(generator, half_width=15.0)
-    x, y = whole.subhalos.x_arcsec, whole.subhalos.y_arcsec
-    inside = (np.abs(x) <= 15.0) & (np.abs(y) <= 15.0)
-    assert 0 < inside.sum() < inside.size
-    for name, values in columns(field).items():
-        np.testing.assert_array_equal(values, columns(whole)[name][inside])
-    np.testing.assert_array_equal(field.cumulative_mass_function, whole.cumulative_mass_function)
+def test_two_hosts_of_one_model_share_its_variance(cosmology, monkeypatch):
+    tabulated = []
+    transfer = ThermalRelic.transfer
+    monkeypatch.setattr(ThermalRelic, "transfer", lambda relic, k: tabulated.append(relic) or transfer(relic, k))
+    drawn_from = population(cosmology)
+    for m_halo in (1e12, 1e13):
+        draw(drawn_from, ThermalRelic(3.0, cosmology), m_halo)
+    assert len(tabulated) == 1
+    assert drawn_from.variance(ThermalRelic(3.0, cosmology)) is drawn_from.variance(ThermalRelic(3.0, cosmology))
+    for i in range(8):  # newer models displace it
+        drawn_from.variance(ThermalRelic(4.0 + i, cosmology))
+    draw(drawn_from, ThermalRelic(3.0, cosmology))
+    assert len(tabulated) == 10
 
 
-def test_all_subhaloes_lie_within_the_host(generator, cosmology, geometry):
-    subhalos = draw(generator).subhalos
-    radius = cosmology.radius_200c(1e13, 0.295) / geometry.kpc_per_arcsec
-    assert np.all(np.hypot(subhalos.x_arcsec, subhalos.y_arcsec) <= radius)
+def test_positions_use_the_circularity_of_the_friction(cosmology):
+    host, orbit = (draw(population(cosmology, positions=p)) for p in ("nfw_host", "orbit_infall"))
+    for name, values in arrays(host).items():
+        if name != "radius_kpc":
+            np.testing.assert_array_equal(values, getattr(orbit, name), err_msg=name)
+    # rounder orbits keep to a narrower range of radii
+    round_orbits = orbit.circularity > 0.7
+    spread = [np.std(np.log(orbit.radius_kpc[mask])) for mask in (round_orbits, ~round_orbits)]
+    assert spread[0] < spread[1]
+    assert orbit.radius_kpc.max() > host.radius_kpc.max()  # beyond the radius at the root
 
 
-def test_field_without_subhaloes_is_valid(generator):
-    r = draw(generator, half_width=1e-6)
-    assert r.n_surviving > 0
-    assert all(values.shape == (0,) for values in columns(r).values())
+def test_friction_spares_round_orbits(cosmology):
+    drawn_from = population(cosmology, min_mass_msun=3e10, stripping_amplitude=0.0)
+    halos = [draw(drawn_from, seed=seed) for seed in range(300)]
+    eta = np.concatenate([halo.circularity for halo in halos])
+    heavy = np.concatenate([halo.m_acc for halo in halos]) > 3e11
+    error = 0.214 / math.sqrt(heavy.sum())
+    assert eta[heavy].mean() > 0.5 + 3 * error
+    assert abs(eta[~heavy].mean() - 0.5) < eta[heavy].mean() - 0.5
 
 
-def test_halo_that_accreted_nothing_is_valid(generator):
-    r = draw(generator, m_th_kev=1.0, m_halo=8.2e8)  # 0.1% above twice the resolution
-    assert r.n_accreted == r.n_friction == r.n_stripped_below == r.n_surviving == 0
-    assert r.f_sub == 0.0
-    assert r.z_half >= 0.295 * (1 - 1e-6)
-    assert not r.cumulative_mass_function.any()
+def test_scatter_moves_the_concentrations_and_no_tree(cosmology):
+    without, with_scatter = (draw(population(cosmology, concentration_scatter_dex=s)) for s in (0.0, 0.16))
+    for name in ("m_bound", "m_acc", "z_acc", "circularity"):
+        np.testing.assert_array_equal(getattr(without, name), getattr(with_scatter, name))
+    dex = np.log10(with_scatter.concentration / without.concentration)
+    assert dex.size > 300
+    assert kstest(dex, norm(0.0, 0.16).cdf).pvalue > 0.01
+    assert kstest(dex, norm(0.0, 0.25).cdf).pvalue < 1e-4
 
 
-def test_early_subhaloes_lie_deeper_in_the_host_at_infall(generator, cosmology, geometry):
-    model = dataclasses.replace(generator.model, tau_dyn="jvdb16")
-    host = HaloGenerator(cosmology, geometry, model)
-    infall = HaloGenerator(cosmology, geometry, dataclasses.replace(model, positions="nfw_infall"))
-    at_host, at_infall = draw(host).subhalos, draw(infall).subhalos
-    np.testing.assert_array_equal(at_host.m_bound, at_infall.m_bound)  # only positions differ
-    ratio = np.hypot(at_infall.x_arcsec, at_infall.y_arcsec) / np.hypot(at_host.x_arcsec, at_host.y_arcsec)
-    early = at_host.z_acc > 1.0
-    assert np.median(ratio[early]) < 0.6
-    assert np.median(ratio[early]) < np.median(ratio[~early]) < 1.0
+def test_duffy08_concentrates_more(cosmology):
+    paper, duffy = (draw(population(cosmology, concentration=name)) for name in ("paper", "duffy08"))
+    np.testing.assert_array_equal(paper.m_bound, duffy.m_bound)
+    assert np.all(duffy.concentration > paper.concentration)
+    assert np.all(duffy.v_max_kms > paper.v_max_kms)
 
 
-def test_calibrated_dynamical_time_strips_less(generator, cosmology, geometry):
-    slower = HaloGenerator(cosmology, geometry, dataclasses.replace(generator.model, tau_dyn="jvdb16"))
-    paper, jvdb16 = draw(generator), draw(slower)
-    assert paper.n_accreted == jvdb16.n_accreted
-    assert paper.n_friction == jvdb16.n_friction
-    assert np.all(paper.cumulative_mass_function <= jvdb16.cumulative_mass_function)
-    assert paper.f_sub < jvdb16.f_sub
+@pytest.mark.parametrize("z_root", [-0.1, 20.0, 25.0, math.nan])
+def test_impossible_redshifts_are_errors(z_root, cosmology):
+    with pytest.raises(ValueError, match=r"z_root must be >= 0 and below z_max = 20\.0, got"):
+        HaloPopulation(cosmology, z_root, MODEL)
 
 
-def test_without_stripping_and_friction_everything_survives(generator, cosmology, geometry):
-    model = dataclasses.replace(generator.model, stripping_amplitude=0.0, friction_amplitude=1e9)
-    r = draw(HaloGenerator(cosmology, geometry, model))
-    assert r.n_surviving == r.n_accreted
-    np.testing.assert_allclose(r.subhalos.m_bound, r.subhalos.m_acc, rtol=1e-12)
+@pytest.mark.parametrize("z", [-1.0, -2.0, math.nan])
+def test_the_background_has_no_redshift_of_minus_one_or_less(z, cosmology):
+    for function in (cosmology.expansion, cosmology.matter_density, cosmology.age, cosmology.growth):
+        with pytest.raises(ValueError, match="z must be > -1, got"):
+            function(np.array([0.5, z]))
 
 
-def test_resolution_is_the_larger_of_floor_and_jeans_mass(generator):
-    resolution = generator.population.resolution_msun
-    assert resolution(generator.dark_matter(math.inf)) == 1e8
-    assert resolution(generator.dark_matter(1.0)) == pytest.approx(4.094e8, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"m_th_kev": 0.0}, r"m_th_kev must be > 0 .*got 0\.0"),
-        ({"m_th_kev": -2.0}, r"m_th_kev must be > 0 .*got -2\.0"),
-        ({"m_th_kev": math.nan}, "m_th_kev must be > 0 .*got nan"),
-        ({"m_halo": 2e8}, r"m_halo_msun must be finite and exceed 2e\+08 Msun.*got 200000000\.0"),
-        ({"m_halo": 7e8, "m_th_kev": 1.0}, "m_halo_msun must be finite and exceed"),
-        ({"m_halo": math.nan}, "m_halo_msun must be finite and exceed .*got nan"),
-        ({"m_halo": math.inf}, "m_halo_msun must be finite and exceed .*got inf"),
-        ({"half_width": 0.0}, r"half_width_arcsec must be > 0, got 0\.0"),
-        ({"half_width": math.nan}, "half_width_arcsec must be > 0, got nan"),
-    ],
-)
-def test_impossible_arguments_are_errors(arguments, message, generator):
+@pytest.mark.parametrize("m_halo", [2e8, -1.0, math.nan, math.inf])
+def test_impossible_hosts_are_errors(m_halo, cosmology):
+    message = r"m_halo_msun must be finite and exceed 2e\+08 Msun, twice the resolution for cold dark matter"
     with pytest.raises(ValueError, match=message):
-        draw(generator, **arguments)
-
-
-def test_limit_of_1_gev_is_cold_to_rounding_of_the_break(generator):
-    # alpha k < 1e-4 at the smallest scale of the tables: r_T = 1 - 4e-9
-    cold, heavy = draw(generator), draw(generator, m_th_kev=1e6)
-    assert cold.n_accreted == heavy.n_accreted
-    for name, values in columns(cold).items():
-        np.testing.assert_allclose(columns(heavy)[name], values, rtol=1e-5, err_msg=name)
-
-
-def test_any_dark_matter_can_be_drawn(generator, cosmology):
-    relic = ThermalRelic(3.0, cosmology)
-    general = generator.draw_model(relic, 1e13, WHOLE_HALO_ARCSEC, np.random.default_rng(1))
-    assert_identical(draw(generator, m_th_kev=3.0), general)
-
-
-def test_transfer_function_of_the_model_is_that_of_its_relics(generator, cosmology, geometry):
-    model = dataclasses.replace(generator.model, transfer_function="vogel23")
-    other = HaloGenerator(cosmology, geometry, model)
-    assert other.dark_matter(3.0) == ThermalRelic(3.0, cosmology, "vogel23")
-    assert draw(other, m_th_kev=3.0).n_accreted != draw(generator, m_th_kev=3.0).n_accreted
-    assert_identical(draw(other), draw(generator))  # cold dark matter has none
-
-
-def test_sky_positions_are_projected_radii(generator, geometry):
-    r = draw(generator)
-    halo = generator.population.draw(generator.dark_matter(math.inf), 1e13, np.random.default_rng(1))
-    np.testing.assert_array_equal(r.subhalos.m_bound, halo.m_bound)
-    distance = np.hypot(r.subhalos.x_arcsec, r.subhalos.y_arcsec) * geometry.kpc_per_arcsec
-    assert np.all(distance <= halo.radius_kpc * (1 + 1e-12))
-    assert r.f_sub == halo.f_sub
+        draw(population(cosmology), m_halo=m_halo)

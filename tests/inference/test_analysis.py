@@ -5,11 +5,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from warmlens.campaign import stream
 from warmlens.inference.analysis import Analysis, analyse
 from warmlens.inference.bound import TooFewError
 from warmlens.inference.calibration import MIN_ROWS
 from warmlens.inference.table import Table
+from warmlens.sampling import stream
 
 
 def table(n=800, seed=1, sigma=0.5):

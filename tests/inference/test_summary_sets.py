@@ -3,7 +3,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warmlens.campaign import stream
 from warmlens.inference.summary_sets import (
     SETS,
     Summary,
@@ -14,6 +13,7 @@ from warmlens.inference.summary_sets import (
     summary_set,
 )
 from warmlens.inference.table import Table
+from warmlens.sampling import stream
 
 GRIDS = {"correlation": np.linspace(0.0, 2.5, 40), "cumulative": np.linspace(-40.0, -4.0, 20)}
 

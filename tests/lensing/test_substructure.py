@@ -7,7 +7,7 @@ import pytest
 from lenstronomy.LensModel.Profiles.nfw import NFW
 
 from warmlens.cosmology import Cosmology, LensGeometry
-from warmlens.halos.population import Subhalos
+from warmlens.halos.lens_halo import Subhalos
 from warmlens.imaging.grid import PixelGrid
 from warmlens.lensing.deflection import tnfw_angular_scales, tnfw_deflection
 from warmlens.lensing.high_pass import FilterKind, high_pass

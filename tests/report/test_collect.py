@@ -9,18 +9,19 @@ import numpy as np
 import pytest
 import yaml
 
-from warmlens.artifacts import ArtifactError, Provenance, write_artifact
-from warmlens.campaign import Parameters
-from warmlens.config import Config
-from warmlens.config_file import parse_config
-from warmlens.layout import CHUNKED, stage_files
+from warmlens.artifacts.file import ArtifactError, Provenance, write_artifact
+from warmlens.artifacts.names import CHUNKED
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.snakemake import remaking_command
+from warmlens.config.file import parse_config
+from warmlens.config.model import Config
+from warmlens.products.samples import FAILED_HERE, FAILED_UPSTREAM, SampleTable
 from warmlens.report.campaign_files import open_of_campaign
-from warmlens.report.campaign_page import CITATION
 from warmlens.report.collect import failing_stages, read_report
 from warmlens.report.sample import read_sample, seed_keys
 from warmlens.report.smooth_fit import LensParameter, true_parameters
-from warmlens.snakemake_command import remaking_command
-from warmlens.stages.samples import FAILED_HERE, FAILED_UPSTREAM, SampleTable
+from warmlens.sampling import Parameters
+from warmlens.text import CITATION
 
 ROOT = Path(__file__).parents[2]
 

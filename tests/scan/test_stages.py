@@ -5,15 +5,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.config import CosmologyBlock, RedshiftBlock, ScanBlock
+from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.config.model import CosmologyBlock, RedshiftBlock, ScanBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Band, Observation
 from warmlens.imaging.psf import point_source
+from warmlens.products.scan_maps import read_response
 from warmlens.scan.raster import Raster
 from warmlens.stages import scan_operator, scans
-from warmlens.stages.scan_maps import read_response
 from warmlens.stages.settings import ScanSettings
 
 BLOCK = {

@@ -10,7 +10,7 @@ import pytest
 from warmlens.cosmology import Cosmology
 from warmlens.halos.dark_matter import TRANSFER_INDEX, dark_matter
 from warmlens.halos.model import HaloModel
-from warmlens.halos.whole_halo import HaloPopulation
+from warmlens.halos.population import HaloPopulation
 
 COSMOLOGY = Cosmology()
 

@@ -10,9 +10,9 @@ import pytest
 
 from warmlens.cosmology import G_NEWTON, Cosmology, LensGeometry
 from warmlens.halos.dark_matter import ColdDarkMatter, ThermalRelic
-from warmlens.halos.population import HaloGenerator, HaloModel
+from warmlens.halos.lens_halo import HaloGenerator, HaloModel
+from warmlens.halos.population import HaloPopulation
 from warmlens.halos.profiles import infall_structure
-from warmlens.halos.whole_halo import HaloPopulation
 
 COSMOLOGY = Cosmology()
 LN10 = math.log(10.0)

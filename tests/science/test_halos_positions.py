@@ -9,8 +9,8 @@ from scipy.stats import kstest
 from warmlens.cosmology import Cosmology
 from warmlens.halos.dark_matter import ColdDarkMatter
 from warmlens.halos.model import HaloModel
+from warmlens.halos.population import HaloPopulation
 from warmlens.halos.profiles import nfw_mass
-from warmlens.halos.whole_halo import HaloPopulation
 
 COSMOLOGY = Cosmology()
 MASS, Z_ROOT = 1e13, 0.295

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from warmlens.cosmology import Cosmology, LensGeometry
-from warmlens.halos.population import HaloGenerator, HaloModel
+from warmlens.halos.lens_halo import HaloGenerator, HaloModel
 from warmlens.halos.profiles import nfw_norm, tnfw_projected_mass
 
 

@@ -15,8 +15,8 @@ from warmlens.inference.calibration import LeaveOneOut, coverage, leave_one_out,
 from warmlens.inference.checks import cloud_check
 from warmlens.inference.convergence import threshold_convergence
 from warmlens.inference.information import information
+from warmlens.inference.learned import learned_summaries
 from warmlens.inference.table import Table
-from warmlens.summaries.learned import learned_summaries
 
 PRIOR, HALO = (1.0, 5.0), (13.0, 13.5)
 SIGMA, HALO_SIGMA = 0.6, 0.1

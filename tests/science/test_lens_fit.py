@@ -18,12 +18,12 @@ from lenstronomy.LensModel.lens_model import LensModel
 from lenstronomy.LightModel.light_model import LightModel
 from lenstronomy.PointSource.point_source import PointSource
 
-from warmlens.config_smooth_model import SmoothModelBlock
+from warmlens.config.smooth_model import SmoothModelBlock
+from warmlens.fitting.lens_fit import LensFit, fit_lens
 from warmlens.fitting.variable_projection import covariance
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Band, Observation, checked_band
-from warmlens.stages.lens_fit import LensFit, fit_lens
 
 GRID = PixelGrid.centred((100, 100), 0.05)
 FINE = 5

@@ -24,16 +24,23 @@ from astropy.io import fits
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, content_digest, open_artifact, write_artifact
-from warmlens.audit import audit, check_chain, input_paths
-from warmlens.config import Config
-from warmlens.config_file import ConfigError, expand_path, parse_config
-from warmlens.config_observation import FitsBandBlock
-from warmlens.config_yaml import read_yaml
-from warmlens.layout import chunks, shards
-from warmlens.stages.fits_input import read_band
-from warmlens.stages.products import read_observation
-from warmlens.stages.settings import STAGES, stage_settings
+from warmlens.artifacts.chain import audit, check_chain, input_paths
+from warmlens.artifacts.file import (
+    ArtifactError,
+    Dataset,
+    Provenance,
+    content_digest,
+    open_artifact,
+    write_artifact,
+)
+from warmlens.campaign.files import chunks, shards
+from warmlens.campaign.settings import STAGES, stage_settings
+from warmlens.config.file import ConfigError, expand_path, parse_config
+from warmlens.config.model import Config
+from warmlens.config.observation import FitsBandBlock
+from warmlens.config.yaml import read_yaml
+from warmlens.products.images import read_band
+from warmlens.products.observation import read_observation
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = int(os.environ.get("WARMLENS_FUZZ", "30"))

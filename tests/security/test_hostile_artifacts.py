@@ -14,7 +14,8 @@ import h5py
 import numpy as np
 import pytest
 
-from warmlens.artifacts import (
+from warmlens.artifacts.chain import audit, check_chain, input_paths
+from warmlens.artifacts.file import (
     ArtifactError,
     Dataset,
     Provenance,
@@ -24,11 +25,9 @@ from warmlens.artifacts import (
     settings_digest,
     write_artifact,
 )
-from warmlens.audit import audit, check_chain, input_paths
 from warmlens.imaging.grid import PixelGrid
-from warmlens.stages.observation import copy_bands
-from warmlens.stages.products import read_observation
-from warmlens.stages.samples import SampleTable
+from warmlens.products.observation import copy_bands, read_observation
+from warmlens.products.samples import SampleTable
 
 EXPECTED = {"halos": settings_digest({}), "deflections": settings_digest({})}
 

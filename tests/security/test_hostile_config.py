@@ -17,11 +17,11 @@ import pytest
 import yaml
 from astropy.io import fits
 
-from warmlens.artifacts import open_artifact
-from warmlens.config_file import ConfigError, load_config, parse_config, read_stored
-from warmlens.config_yaml import read_yaml
-from warmlens.layout import chunks, shards
-from warmlens.systematics import read_systematics
+from warmlens.artifacts.file import open_artifact
+from warmlens.campaign.files import chunks, shards
+from warmlens.config.file import ConfigError, load_config, parse_config, read_stored
+from warmlens.config.yaml import read_yaml
+from warmlens.systematics.run import read_systematics
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent

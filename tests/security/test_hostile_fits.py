@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from warmlens.config_file import ConfigError, expand_path
-from warmlens.config_observation import FitsBandBlock
-from warmlens.stages.fits_input import read_band
+from warmlens.config.file import ConfigError, expand_path
+from warmlens.config.observation import FitsBandBlock
+from warmlens.products.images import read_band
 
 SHAPE = (20, 24)
 CARDS = {

@@ -22,7 +22,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from warmlens.layout import CHUNKED
+from warmlens.artifacts.names import CHUNKED
 
 from ..workflow.conftest import Project, finished_campaign
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import signal
 
-from warmlens.layout import CHUNKED
+from warmlens.artifacts.names import CHUNKED
 
 from ..reliability import Outcome, fault
 from ..workflow.conftest import Project

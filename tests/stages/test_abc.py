@@ -8,13 +8,20 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, settings_digest, write_artifact
-from warmlens.campaign import draw_parameters
-from warmlens.combination import combine_results
-from warmlens.config import AbcBlock, DarkMatterBlock
-from warmlens.result import companions, others
-from warmlens.stages import abc
-from warmlens.stages.samples import FAILED_HERE, SampleTable
+from warmlens.artifacts.file import (
+    ArtifactError,
+    Dataset,
+    Provenance,
+    open_artifact,
+    settings_digest,
+    write_artifact,
+)
+from warmlens.config.model import AbcBlock, DarkMatterBlock
+from warmlens.products.samples import FAILED_HERE, SampleTable
+from warmlens.report.combination import combine_results
+from warmlens.report.result import companions, others
+from warmlens.sampling import draw_parameters
+from warmlens.stages.abc import run as abc
 from warmlens.stages.settings import AbcSettings
 
 N, CHUNK = 60, 20

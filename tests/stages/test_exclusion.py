@@ -8,12 +8,19 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, settings_digest, write_artifact
-from warmlens.campaign import grid_parameters
-from warmlens.config import AbcBlock, DarkMatterBlock
-from warmlens.exclusion_result import exclusion_lines
+from warmlens.artifacts.file import (
+    ArtifactError,
+    Dataset,
+    Provenance,
+    open_artifact,
+    settings_digest,
+    write_artifact,
+)
+from warmlens.config.model import AbcBlock, DarkMatterBlock
+from warmlens.products.samples import FAILED_HERE, SampleTable
+from warmlens.report.exclusion import exclusion_lines
+from warmlens.sampling import grid_parameters
 from warmlens.stages import exclusion
-from warmlens.stages.samples import FAILED_HERE, SampleTable
 from warmlens.stages.settings import ExclusionSettings, GridNodes
 
 NODES = GridNodes(design="grid", m_th_kev=[1.0, 5.0], log10_m_halo_msun=[12.0, 12.5, 13.0, 13.5])

@@ -8,18 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warmlens.artifacts import ArtifactError, open_artifact
-from warmlens.campaign import stream
-from warmlens.config import Config
-from warmlens.config_file import load_config, parse_config
+from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.campaign.settings import stage_settings
+from warmlens.config.file import load_config, parse_config
+from warmlens.config.model import Config
 from warmlens.imaging.psf import point_source
 from warmlens.lensing.images import DeflectionField
 from warmlens.lensing.substructure import filtered_deflection
+from warmlens.physics import geometry, halo_generator
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import FAILED_HERE, OK
+from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.sampling import stream
 from warmlens.stages import deflections, halos, mocks, observation, smooth_model
-from warmlens.stages.halos import geometry, halo_generator
-from warmlens.stages.products import read_observation, read_smooth_model, scan_band
-from warmlens.stages.samples import FAILED_HERE, OK
-from warmlens.stages.settings import stage_settings
 
 ROOT = Path(__file__).parents[2]
 

@@ -5,17 +5,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts import ArtifactError, Provenance, open_artifact, write_artifact
-from warmlens.campaign import stream
-from warmlens.config import Config
-from warmlens.config_file import ConfigError, load_config, parse_config
+from warmlens.artifacts.file import ArtifactError, Provenance, open_artifact, write_artifact
+from warmlens.campaign.settings import stage_settings
+from warmlens.config.file import ConfigError, load_config, parse_config
+from warmlens.config.model import Config
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import fwhm
 from warmlens.lensing.substructure import filtered_deflection, required_half_width
+from warmlens.physics import geometry, halo_generator
+from warmlens.products.images import planned_mask
+from warmlens.products.observation import read_observation
+from warmlens.products.smooth_model import read_smooth_model
+from warmlens.sampling import stream
 from warmlens.stages import observation, smooth_model
-from warmlens.stages.halos import geometry, halo_generator
-from warmlens.stages.products import read_observation, read_smooth_model
-from warmlens.stages.settings import stage_settings
 
 ROOT = Path(__file__).parents[2]
 SIMULATED = [[], ["demo"], ["ci"]]
@@ -142,7 +144,7 @@ def test_the_observation_of_another_campaign(ci: Config, simulated: Path, tmp_pa
         assert copy.digest != original.digest
         assert copy.metadata["bands"] == ["F555W"]
         assert np.array_equal(copy.array("truth/delta_alpha"), original.array("truth/delta_alpha"))
-    grid, mask = observation.planned_mask(config.observation)
+    grid, mask = planned_mask(config.observation)
     assert mask.shape == grid.shape == (100, 100)
 
 

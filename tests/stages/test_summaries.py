@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.campaign import draw_parameters
-from warmlens.config import Config
+from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.campaign.settings import stage_settings
+from warmlens.config.model import Config
+from warmlens.products.samples import FAILED_HERE, SampleTable, null
+from warmlens.sampling import draw_parameters
 from warmlens.stages import summaries
-from warmlens.stages.abc_tables import read_summaries, scalars
-from warmlens.stages.samples import FAILED_HERE, SampleTable, null
-from warmlens.stages.settings import stage_settings
+from warmlens.stages.abc.tables import read_summaries, scalars
 from warmlens.summaries.correlation import PairGeometry, correlation_function
 from warmlens.summaries.response import amplitude_correlation, mean_square_significance
 

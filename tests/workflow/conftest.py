@@ -13,8 +13,8 @@ from typing import Any
 import pytest
 import yaml
 
-from warmlens.artifacts import open_artifact
-from warmlens.layout import REPORT
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import REPORT
 
 from ..shared import shared_folder
 from . import forked

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts import Provenance, open_artifact, write_artifact
-from warmlens.audit import input_paths
-from warmlens.config import Config
-from warmlens.layout import stage_files
-from warmlens.result import print_result
+from warmlens.artifacts.chain import input_paths
+from warmlens.artifacts.file import Provenance, open_artifact, write_artifact
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.settings import STAGES, stage_settings
+from warmlens.config.model import Config
+from warmlens.report.result import print_result
 from warmlens.stages import (
-    abc,
     deflections,
     halos,
     mocks,
@@ -25,7 +25,7 @@ from warmlens.stages import (
     smooth_model,
     summaries,
 )
-from warmlens.stages.settings import STAGES, stage_settings
+from warmlens.stages.abc import run as abc
 
 READER = {  # a stage that reads the artifact of each
     "observation": "smooth_model",

@@ -10,9 +10,9 @@ from typing import Any
 
 from rocrate.rocrate import ROCrate
 
-from warmlens.artifacts import file_digest
-from warmlens.audit_campaign import CampaignAudit, audit_campaign
-from warmlens.status import read_campaign
+from warmlens.artifacts.file import file_digest
+from warmlens.audit.campaign import CampaignAudit, audit_campaign
+from warmlens.campaign.status import read_campaign
 
 from .conftest import Project
 from .damage import with_other_content

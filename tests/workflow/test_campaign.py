@@ -14,9 +14,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import CHUNKED, FIGURE_GROUPS, FIGURES
 from warmlens.figures.inputs import NEEDED
-from warmlens.layout import CHUNKED, FIGURE_GROUPS, FIGURES
 
 from ..reliability import Outcome, fault
 from .conftest import BIN, N_CHUNKED_STAGES, Project

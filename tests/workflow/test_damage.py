@@ -12,16 +12,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warmlens.artifacts import ArtifactError, open_artifact
-from warmlens.audit import audit, check_chain
-from warmlens.config import Config
-from warmlens.halos.population import HaloGenerator
+from warmlens.artifacts.chain import audit, check_chain
+from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.settings import STAGES, stage_digests
+from warmlens.campaign.status import read_campaign
+from warmlens.config.model import Config
+from warmlens.halos.lens_halo import HaloGenerator
 from warmlens.imaging.noise import NoiseModel
-from warmlens.layout import stage_files
+from warmlens.products.samples import FAILED_HERE, OK
 from warmlens.stages import deflections, scans, summaries
-from warmlens.stages.samples import FAILED_HERE, OK
-from warmlens.stages.settings import STAGES, stage_digests
-from warmlens.status import read_campaign
 
 from ..reliability import Outcome, fault
 from .conftest import Project

@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 import pytest
 
-from warmlens.config import HalosBlock
+from warmlens.config.model import HalosBlock
 from warmlens.halos.dark_matter import ThermalRelic, TransferFunction
 from warmlens.inference import summary_sets
 from warmlens.stages.summaries import _Summary

@@ -14,9 +14,9 @@ from pathlib import Path
 import psutil
 import pytest
 
-from warmlens.layout import CHUNKED
-from warmlens.stages.settings import STAGES
-from warmlens.status import read_campaign
+from warmlens.artifacts.names import CHUNKED
+from warmlens.campaign.settings import STAGES
+from warmlens.campaign.status import read_campaign
 
 from ..reliability import Outcome, fault
 from .conftest import BIN, Project

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
 
 from .conftest import Project
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import yaml
 
-from warmlens.artifacts import open_artifact
-from warmlens.stages.products import read_observation, read_smooth_model
+from warmlens.artifacts.file import open_artifact
+from warmlens.products.observation import read_observation
+from warmlens.products.smooth_model import read_smooth_model
 
 from .conftest import ROOT, Project
 

@@ -10,9 +10,9 @@ from typing import Any
 
 import pytest
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.names import FIGURES
 from warmlens.figures import CAPTIONS
-from warmlens.layout import FIGURES
 from warmlens.report.campaign_page import report_html, write_report
 from warmlens.report.collect import FailedSample, read_report
 from warmlens.report.provenance import read_provenance

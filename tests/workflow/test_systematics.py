@@ -9,7 +9,7 @@ from pathlib import Path
 import pandas as pd
 import yaml
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
 
 from .conftest import Project
 

@@ -6,13 +6,14 @@ from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
 
-from warmlens import runs, runtime
-from warmlens.artifacts import ArtifactError, atomic_path, canonical_json, settings_digest
-from warmlens.audit import check_unrecorded
-from warmlens.config_file import ConfigError, parse_config
-from warmlens.config_yaml import read_yaml
+from warmlens import runtime
+from warmlens.campaign import locks
+from warmlens.artifacts.file import ArtifactError, atomic_path, canonical_json, settings_digest
+from warmlens.campaign.records import check_unrecorded
+from warmlens.config.file import ConfigError, parse_config
+from warmlens.config.yaml import read_yaml
 from warmlens.figures.inputs import drawn_groups, figure_inputs
-from warmlens.layout import (
+from warmlens.artifacts.names import (
     ANSWER_FILES,
     CONFIG,
     CRATE,
@@ -26,11 +27,11 @@ from warmlens.layout import (
     REPORT_VERSION,
     SINGLE,
     TABLE,
-    stage_files,
 )
-from warmlens.manifest import derived_files
-from warmlens.stages.settings import campaign_stages, stage_digests, stage_settings
-from warmlens.stages.time_limit import SAMPLE_SECONDS
+from warmlens.campaign.files import stage_files
+from warmlens.audit.manifest import derived_files
+from warmlens.campaign.settings import campaign_stages, stage_digests, stage_settings
+from warmlens.products.time_limit import SAMPLE_SECONDS
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -99,8 +100,8 @@ if workflow.is_main_process:
 
 onstart:
     try:
-        runs.begin(Path(), Path(CAMPAIGN.results))
-    except (ArtifactError, runs.LockedError) as error:
+        locks.begin(Path(), Path(CAMPAIGN.results))
+    except (ArtifactError, locks.LockedError) as error:
         raise WorkflowError(str(error)) from None
     with atomic_path(Path(results(CONFIG))) as temporary:
         temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
@@ -108,12 +109,12 @@ onstart:
 
 
 onsuccess:
-    runs.end(Path(), Path(CAMPAIGN.results))
+    locks.end(Path(), Path(CAMPAIGN.results))
     if Path(single(ANSWER)).exists():
         shell(f"warmlens result {shlex.quote(CAMPAIGN.results)}")
 
 
 onerror:
-    runs.end(Path(), Path(CAMPAIGN.results))
+    locks.end(Path(), Path(CAMPAIGN.results))
     print(f"Finished artifacts are kept. `warmlens status {CAMPAIGN.results}` shows what is done and what failed;")
     print("start the same command again to go on from there.")

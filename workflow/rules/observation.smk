@@ -1,8 +1,8 @@
 def observation_files():
     if CAMPAIGN.observation.kind == "simulated":
         return []
-    from warmlens.stages.fits_input import input_files
-    from warmlens.stages.observation import artifact_path
+    from warmlens.products.images import input_files
+    from warmlens.products.images import artifact_path
 
     try:
         if CAMPAIGN.observation.kind == "artifact":

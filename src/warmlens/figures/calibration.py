@@ -10,12 +10,12 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import needed, panel_table
 from warmlens.inference.bound import LEVELS
 from warmlens.inference.calibration import MASS_BINS_KEV
-from warmlens.plots.style import FULL_WIDTH_INCH
 from warmlens.types import FloatArray, IntArray
 
 Quantiles = tuple[float, float, float]

@@ -10,12 +10,12 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter, ScalarFormatter
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.figures.draw.correlation import set_signal_scale
+from warmlens.figures.draw.style import FULL_WIDTH_INCH, SINGLE_COLUMN_INCH
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import needed, panel_table
 from warmlens.inference.summary_sets import SETS
-from warmlens.plots.correlation import set_signal_scale
-from warmlens.plots.style import FULL_WIDTH_INCH, SINGLE_COLUMN_INCH
 from warmlens.stages.summaries import COMBINED
 from warmlens.types import FloatArray
 

@@ -12,20 +12,19 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from warmlens.campaign import stream
-from warmlens.config import Config
+from warmlens.config.model import Config
+from warmlens.figures.draw.halo_functions import draw_cumulative_functions
+from warmlens.figures.draw.halo_maps import draw_deflection_grid, draw_halo_grid
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.recipe import map_table, panel_table
 from warmlens.halos.dark_matter import ThermalRelic, dark_matter
-from warmlens.halos.population import HaloGenerator, HaloRealization
+from warmlens.halos.lens_halo import HaloGenerator, HaloRealization
+from warmlens.halos.population import MASS_BINS, VMAX_BINS, HaloPopulation
 from warmlens.halos.suppression import lovell14, lovell20
-from warmlens.halos.whole_halo import MASS_BINS, VMAX_BINS, HaloPopulation
 from warmlens.imaging.grid import PixelGrid
 from warmlens.lensing.substructure import convergence_map, filtered_deflection
-from warmlens.plots.halo_functions import draw_cumulative_functions
-from warmlens.plots.halo_maps import draw_deflection_grid, draw_halo_grid
-from warmlens.plots.style import FULL_WIDTH_INCH
-from warmlens.stages.deflections import check_field, smooth_host
-from warmlens.stages.halos import geometry, halo_generator, halo_model
+from warmlens.physics import check_field, geometry, halo_generator, halo_model, smooth_host
+from warmlens.sampling import stream
 from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)

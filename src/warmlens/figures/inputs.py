@@ -6,12 +6,13 @@ import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from warmlens.artifacts import ArtifactError
-from warmlens.audit import check_chains
-from warmlens.config import Config
-from warmlens.layout import FIGURE_GROUPS, SINGLE, stage_files
-from warmlens.snakemake_command import remaking_command
-from warmlens.stages.settings import campaign_stages, stage_digests
+from warmlens.artifacts.chain import check_chains
+from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.names import FIGURE_GROUPS, SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.settings import campaign_stages, stage_digests
+from warmlens.campaign.snakemake import remaking_command
+from warmlens.config.model import Config
 
 log = logging.getLogger(__name__)
 
@@ -68,7 +69,7 @@ def find_inputs(name: str, results: Sequence[Path]) -> dict[str, Path]:
     ArtifactError
         If one is missing, with the command that makes it; if one was not made with the settings of its campaign.
     """
-    from warmlens.status import read_campaign
+    from warmlens.campaign.status import read_campaign
 
     if name in ("6", "7"):
         found: dict[str, Path] = {}

@@ -9,18 +9,18 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from warmlens.artifacts import open_artifact
-from warmlens.config import CosmologyBlock, RedshiftBlock
+from warmlens.artifacts.file import open_artifact
+from warmlens.config.model import CosmologyBlock, RedshiftBlock
+from warmlens.figures.draw.halo_maps import draw_deflection_panels, draw_halo_panels
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import map_table, needed
 from warmlens.figures.samples import N_SHOWN, Sample, warm_to_cold
 from warmlens.imaging.grid import PixelGrid
 from warmlens.lensing.substructure import convergence_map
-from warmlens.plots.halo_maps import draw_deflection_panels, draw_halo_panels
-from warmlens.plots.style import FULL_WIDTH_INCH
-from warmlens.stages.deflections import read_subhalos
-from warmlens.stages.halos import geometry
-from warmlens.stages.products import read_observation
+from warmlens.physics import geometry
+from warmlens.products.halos import read_subhalos
+from warmlens.products.observation import read_observation
 from warmlens.types import FloatArray
 
 _HALF_WIDTH_ARCSEC, _PIXELS = 2.0, 160  # 4" x 4", as the paper's

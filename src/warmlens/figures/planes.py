@@ -11,12 +11,12 @@ import pandas as pd
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 
-from warmlens.artifacts import Artifact, ArtifactError, open_artifact
+from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens.figures.draw.scan import draw_scan_plane
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import all_of, needed, panel_table
 from warmlens.figures.samples import relic_name
-from warmlens.plots.scan import draw_scan_plane
-from warmlens.stages.scan_maps import by_band
+from warmlens.products.scan_maps import by_band
 from warmlens.types import FloatArray
 
 _MARK_SIZE = 14.0  # of a point in the legend [points^2]

@@ -10,15 +10,15 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.figures.draw.bounds import BoundRow, draw_bound_rows
+from warmlens.figures.draw.likelihood import draw_likelihood_ratio
+from warmlens.figures.draw.posterior import draw_mass_marginal, draw_posterior_plane
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import needed, panel_table
 from warmlens.inference.bound import Bound
 from warmlens.inference.priors import HALO_MASS_PRIORS, MASS_PRIORS
-from warmlens.plots.bounds import BoundRow, draw_bound_rows
-from warmlens.plots.likelihood import draw_likelihood_ratio
-from warmlens.plots.posterior import draw_mass_marginal, draw_posterior_plane
-from warmlens.plots.style import FULL_WIDTH_INCH
 from warmlens.types import BoolArray, FloatArray, IntArray
 
 _UNIFORM_IN = {

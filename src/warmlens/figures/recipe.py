@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from warmlens.artifacts import ArtifactError, atomic_path
+from warmlens.artifacts.file import ArtifactError, atomic_path
 from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray
 
@@ -49,7 +49,7 @@ class Recipe(Generic[SourceT, DataT]):
         """
         import matplotlib.pyplot as plt
 
-        from warmlens.plots.style import house_style
+        from warmlens.figures.draw.style import house_style
 
         kind = output.suffix.removeprefix(".")
         if kind not in ("png", "pdf", "svg"):

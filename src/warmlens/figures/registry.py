@@ -11,8 +11,8 @@ import matplotlib as mpl
 
 mpl.use("agg")
 
-from warmlens.artifacts import ArtifactError
-from warmlens.config import Config
+from warmlens.artifacts.file import ArtifactError
+from warmlens.config.model import Config
 from warmlens.figures import calibration, checks, halos, maps, planes, posterior, scans, smooth, summaries
 from warmlens.figures.inputs import Inputs, find_inputs
 from warmlens.figures.recipe import Recipe

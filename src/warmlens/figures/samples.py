@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from warmlens.artifacts import Artifact, ArtifactError, open_artifact
-from warmlens.plots.correlation import group_by_mass
-from warmlens.stages.samples import OK
+from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens.figures.draw.correlation import group_by_mass
+from warmlens.products.samples import OK
 from warmlens.types import BoolArray, FloatArray, IntArray
 
 N_SHOWN = 6

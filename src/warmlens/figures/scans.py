@@ -10,14 +10,14 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.figures.draw.scan import AmplitudeRow, ScanRow, draw_amplitude_row, draw_scan_row
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import all_of, map_table, needed
 from warmlens.figures.samples import Sample, heavy_and_light, warm_to_cold
 from warmlens.imaging.grid import PixelGrid
-from warmlens.plots.scan import AmplitudeRow, ScanRow, draw_amplitude_row, draw_scan_row
-from warmlens.plots.style import FULL_WIDTH_INCH
-from warmlens.stages.scan_maps import by_band, raster_grid, read_response, read_sensitivity
+from warmlens.products.scan_maps import by_band, raster_grid, read_response, read_sensitivity
 from warmlens.types import FloatArray
 
 DELTA_R_LIMIT = 25.0

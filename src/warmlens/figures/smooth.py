@@ -11,7 +11,11 @@ from matplotlib.figure import Figure
 from scipy.ndimage import binary_closing
 from scipy.spatial import cKDTree
 
-from warmlens.artifacts import open_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.figures.draw.psf import PsfRow, draw_psf_row, radial_profile
+from warmlens.figures.draw.sky import add_colour_bar, draw_diverging, draw_image
+from warmlens.figures.draw.smooth_model import LensMarks, SmoothModelRow, draw_smooth_model_row, key_handles
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import map_table, needed, panel_table
 from warmlens.figures.samples import Sample, warm_to_cold
@@ -19,11 +23,8 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.shapelets import surface_brightness
 from warmlens.lensing.critical_curves import critical_curves, inverse_magnification
 from warmlens.lensing.macro_model import deflection
-from warmlens.plots.psf import PsfRow, draw_psf_row, radial_profile
-from warmlens.plots.sky import add_colour_bar, draw_diverging, draw_image
-from warmlens.plots.smooth_model import LensMarks, SmoothModelRow, draw_smooth_model_row, key_handles
-from warmlens.plots.style import FULL_WIDTH_INCH
-from warmlens.stages.products import SmoothModel, read_observation, read_smooth_model
+from warmlens.products.observation import read_observation
+from warmlens.products.smooth_model import SmoothModel, read_smooth_model
 from warmlens.types import BoolArray, FloatArray
 
 RESIDUAL_LIMIT = 5.0  # sigma

@@ -10,19 +10,19 @@ import pandas as pd
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from warmlens.artifacts import ArtifactError, open_artifact
-from warmlens.figures.inputs import Inputs
-from warmlens.figures.recipe import all_of, needed, panel_table
-from warmlens.figures.samples import Group, group_values, read_samples, relic_name
-from warmlens.plots.correlation import (
+from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.figures.draw.correlation import (
     SCATTER,
     draw_correlations,
     draw_cumulatives,
     group_by_mass,
     set_signal_scale,
 )
-from warmlens.plots.halo_functions import model_colours
-from warmlens.plots.style import FULL_WIDTH_INCH
+from warmlens.figures.draw.halo_functions import model_colours
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
+from warmlens.figures.inputs import Inputs
+from warmlens.figures.recipe import all_of, needed, panel_table
+from warmlens.figures.samples import Group, group_values, read_samples, relic_name
 from warmlens.stages.summaries import COMBINED
 from warmlens.types import FloatArray, IntArray
 

@@ -1,180 +1,273 @@
-"""One lens: a halo with its subhaloes, projected on the sky."""
+"""A whole halo: the tree, what became of every subhalo, and the structure of those that are left."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
-from warmlens.cosmology import Cosmology, LensGeometry
-from warmlens.halos.dark_matter import DarkMatter, dark_matter
-from warmlens.halos.merger_tree import MergerTree
+from warmlens.cosmology import Cosmology
+from warmlens.halos.concentration import ConcentrationRelation, FormationHistory, scatter_concentration
+from warmlens.halos.dark_matter import ColdDarkMatter, DarkMatter
+from warmlens.halos.merger_tree import MergerTree, branching_table, grow_tree
 from warmlens.halos.model import HaloModel
-from warmlens.halos.positions import project_isotropically
-from warmlens.halos.whole_halo import MASS_BINS, VMAX_BINS, HaloPopulation, WholeHalo
+from warmlens.halos.positions import draw_nfw_radii, draw_orbit_radii
+from warmlens.halos.power_spectrum import SharpKVariance, cdm_power, filtered_variance
+from warmlens.halos.profiles import infall_structure, nfw_norm, nfw_parameters, tidal_tracks, truncation
+from warmlens.halos.stripping import TidalField, draw_circularity, friction_ln_a
 from warmlens.types import BoolArray, FloatArray, IntArray
 
-__all__ = ["MASS_BINS", "VMAX_BINS", "HaloGenerator", "HaloModel", "HaloRealization", "Subhalos"]
+MASS_BINS: FloatArray = np.linspace(6.0, 14.0, 81)  # log10(m/Msun)
+VMAX_BINS: FloatArray = np.geomspace(1.0, 1000.0, 61)  # v_max [km/s]
+MASS_BINS.flags.writeable = False
+VMAX_BINS.flags.writeable = False
+
+_MODELS_KEPT = 8  # dark-matter models whose variance is remembered
 
 
 @dataclass(frozen=True)
-class Subhalos:
-    """Subhaloes, one entry each in every array.
+class WholeHalo:
+    """One halo with all its surviving subhaloes, one entry each in every array.
 
     Attributes
     ----------
+    m_halo_msun, z_root
+        M200c of the host [Msun] and the redshift at which it has that mass and subhaloes are observed.
     m_bound, m_acc
-        Bound mass at the lens and M200c at infall [Msun].
+        Bound mass at z_root and M200c at infall [Msun].
     z_acc
         Redshift of infall.
+    circularity
+        Of the orbit at infall.
     concentration
         R200c/r_s at infall.
     r_max_kpc, v_max_kms
-        Peak of the circular velocity at the lens, after tidal stripping.
+        Peak of the circular velocity at z_root, after tidal stripping.
     r_s_kpc, rho_s, r_t_kpc
         Scale radius [kpc], scale density [Msun/kpc^3] and truncation radius [kpc] of the profile
         rho_s / [x (1+x)^2] tau^2 / (tau^2 + x^2), x = r/r_s, tau = r_t/r_s, whose mass is m_bound.
-    x_arcsec, y_arcsec
-        Position on the sky relative to the centre of the host.
-    """
-
-    m_bound: FloatArray
-    m_acc: FloatArray
-    z_acc: FloatArray
-    concentration: FloatArray
-    r_max_kpc: FloatArray
-    v_max_kms: FloatArray
-    r_s_kpc: FloatArray
-    rho_s: FloatArray
-    r_t_kpc: FloatArray
-    x_arcsec: FloatArray
-    y_arcsec: FloatArray
-
-
-@dataclass(frozen=True)
-class HaloRealization:
-    """One drawn halo.
-
-    Attributes
-    ----------
-    subhalos
-        Subhaloes inside the field |x|, |y| <= half_width_arcsec.
+    radius_kpc
+        Distance from the centre of the host.
     n_accreted
-        Haloes accreted above the resolution; the sum of the next three.
-    n_friction, n_stripped_below, n_surviving
-        Of these: lost to dynamical friction, stripped below min_mass_msun, and left (in the whole halo).
-    f_sub
-        Mass of all survivors over the mass of the halo.
-    cumulative_mass_function
-        Survivors with log10(m_bound) above each of `MASS_BINS`.
-    cumulative_vmax_function
-        Survivors with v_max above each of `VMAX_BINS`.
+        Haloes accreted above the resolution: lost to dynamical friction, stripped or surviving.
+    n_friction, n_stripped_below
+        Of these: lost to dynamical friction, and stripped below min_mass_msun.
     tree_steps
         Steps of the merger tree.
     z_half
         Redshift at which the trunk had half its mass.
     """
 
-    subhalos: Subhalos
+    m_halo_msun: float
+    z_root: float
+    m_bound: FloatArray
+    m_acc: FloatArray
+    z_acc: FloatArray
+    circularity: FloatArray
+    concentration: FloatArray
+    r_max_kpc: FloatArray
+    v_max_kms: FloatArray
+    r_s_kpc: FloatArray
+    rho_s: FloatArray
+    r_t_kpc: FloatArray
+    radius_kpc: FloatArray
     n_accreted: int
     n_friction: int
     n_stripped_below: int
-    n_surviving: int
-    f_sub: float
-    cumulative_mass_function: IntArray
-    cumulative_vmax_function: IntArray
     tree_steps: int
     z_half: float
 
+    @property
+    def n_surviving(self) -> int:
+        """Number of subhaloes left."""
+        return self.m_bound.size
 
-class HaloGenerator:
-    """Draws lens haloes with subhaloes; holds the tables that are the same for every sample.
+    @property
+    def f_sub(self) -> float:
+        """Mass of all survivors over the mass of the halo."""
+        return float(self.m_bound.sum() / self.m_halo_msun)
+
+    @property
+    def cumulative_mass_function(self) -> IntArray:
+        """Survivors with log10(m_bound) above each of `MASS_BINS`."""
+        return _count_above(self.m_bound, 10.0**MASS_BINS)
+
+    @property
+    def cumulative_vmax_function(self) -> IntArray:
+        """Survivors with v_max above each of `VMAX_BINS`."""
+        return _count_above(self.v_max_kms, VMAX_BINS)
+
+
+class HaloPopulation:
+    """Draws whole haloes at one redshift; holds the tables that are the same for every halo.
 
     Parameters
     ----------
     cosmology
         Background and cold power spectrum.
-    geometry
-        Redshifts and distances of the lens; the tree is rooted at the lens.
+    z_root
+        Redshift at which hosts have their mass and subhaloes are observed; 0 <= z_root < model.z_max.
     model
         Subhalo physics.
-
-    Attributes
-    ----------
-    population
-        Whole haloes at the redshift of the lens, without projection.
     """
 
-    def __init__(self, cosmology: Cosmology, geometry: LensGeometry, model: HaloModel) -> None:
+    def __init__(self, cosmology: Cosmology, z_root: float, model: HaloModel) -> None:
+        if not 0.0 <= z_root < model.z_max:
+            raise ValueError(f"z_root must be >= 0 and below z_max = {model.z_max!r}, got {z_root!r}")
         self.cosmology = cosmology
-        self.geometry = geometry
+        self.z_root = z_root
         self.model = model
-        self.population = HaloPopulation(cosmology, geometry.z_lens, model)
+        self.cold_concentration = _cold_concentration(model, cosmology)
+        self._spectrum = cdm_power(cosmology)
+        self._variances = lru_cache(_MODELS_KEPT)(self._tabulate_variance)
+        cold = self.variance(ColdDarkMatter())
+        self._formation = FormationHistory.of_cold_haloes(cold, model.formation_mass_cap_msun)
 
-    def dark_matter(self, m_th_kev: float) -> DarkMatter:
-        """Thermal relic of the given mass [keV] with the model's transfer function; inf is cold."""
-        return dark_matter(m_th_kev, self.cosmology, self.model.transfer_function)
+    def variance(self, dark_matter: DarkMatter) -> SharpKVariance:
+        """Variance S(M) of the dark matter; kept for the models used last."""
+        return self._variances(dark_matter)
 
-    def tree(self, m_th_kev: float, m_halo_msun: float, rng: np.random.Generator) -> MergerTree:
+    def resolution_msun(self, dark_matter: DarkMatter) -> float:
+        """Smallest mass [Msun] that trees follow: that of the dark matter, or the floor min_mass_msun."""
+        resolution = dark_matter.resolution_msun
+        if not 0.0 <= resolution < math.inf:
+            raise ValueError(f"resolution_msun of {dark_matter.label} must be finite and >= 0, got {resolution!r}")
+        return max(resolution, self.model.min_mass_msun)
+
+    def tree(self, dark_matter: DarkMatter, m_halo_msun: float, rng: np.random.Generator) -> MergerTree:
         """Draw the merger tree alone; parameters as in `draw`."""
-        return self.population.tree(self.dark_matter(m_th_kev), m_halo_msun, rng)
+        resolution = self.resolution_msun(dark_matter)
+        if not 2.0 * resolution < m_halo_msun < math.inf:
+            raise ValueError(
+                f"m_halo_msun must be finite and exceed {2.0 * resolution:.6g} Msun, twice the resolution "
+                f"for {dark_matter.label}, got {m_halo_msun!r}"
+            )
+        model, clock = self.model, self.cosmology.collapse_clock
+        table = branching_table(
+            self.variance(dark_matter),
+            m_halo_msun,
+            resolution,
+            model.branching,
+            model.barrier_factor,
+            dark_matter.barrier_ratio,
+        )
+        return grow_tree(table, float(clock(self.z_root)), float(clock(model.z_max)), rng)
 
-    def draw(
-        self, m_th_kev: float, m_halo_msun: float, half_width_arcsec: float, rng: np.random.Generator
-    ) -> HaloRealization:
-        """Draw one halo of a thermal relic.
+    def draw(self, dark_matter: DarkMatter, m_halo_msun: float, rng: np.random.Generator) -> WholeHalo:
+        """Draw one halo.
 
         Parameters
         ----------
-        m_th_kev
-            Mass of the thermal relic [keV], > 0; inf for cold dark matter.
+        dark_matter
+            Model of the dark matter, see `warmlens.halos.dark_matter`.
         m_halo_msun
-            M200c of the host at the redshift of the lens [Msun]; more than twice the resolution.
-        half_width_arcsec
-            Half the side of the square field whose subhaloes are kept [arcsec].
+            M200c of the host at z_root [Msun]; more than twice the resolution.
         rng
             Source of every random number.
         """
-        return self.draw_model(self.dark_matter(m_th_kev), m_halo_msun, half_width_arcsec, rng)
+        model = self.model
+        tree = self.tree(dark_matter, m_halo_msun, rng)
+        ln_a = -np.log1p(self.cosmology.clock_to_redshift(tree.clock_acc))
+        circularity = draw_circularity(tree.m_acc_msun.size, rng)
+        m_bound, sunk = self._evolve(tree, ln_a, circularity)
+        light = ~sunk & (m_bound < model.min_mass_msun)
+        left = ~(sunk | light)
 
-    def draw_model(
-        self,
-        dark_matter: DarkMatter,
-        m_halo_msun: float,
-        half_width_arcsec: float,
-        rng: np.random.Generator,
-    ) -> HaloRealization:
-        """Draw one halo of any dark matter; the other parameters are those of `draw`."""
-        if not half_width_arcsec > 0.0:
-            raise ValueError(f"half_width_arcsec must be > 0, got {half_width_arcsec!r}")
-        halo = self.population.draw(dark_matter, m_halo_msun, rng)
-        x, y = project_isotropically(halo.radius_kpc / self.geometry.kpc_per_arcsec, rng)
-        inside = np.maximum(np.abs(x), np.abs(y)) <= half_width_arcsec
-        return HaloRealization(
-            subhalos=_select(halo, x, y, inside),
-            n_accreted=halo.n_accreted,
-            n_friction=halo.n_friction,
-            n_stripped_below=halo.n_stripped_below,
-            n_surviving=halo.n_surviving,
-            f_sub=halo.f_sub,
-            cumulative_mass_function=halo.cumulative_mass_function,
-            cumulative_vmax_function=halo.cumulative_vmax_function,
-            tree_steps=halo.tree_steps,
-            z_half=halo.z_half,
+        m_acc, m_bound, circularity = tree.m_acc_msun[left], m_bound[left], circularity[left]
+        z_acc = np.expm1(-ln_a[left])
+        matched = self._formation.matching_mass(self.variance(dark_matter), m_acc)
+        concentration = scatter_concentration(
+            self.cold_concentration(matched, z_acc),
+            model.concentration_scatter_dex,
+            model.concentration_min,
+            rng,
+        )
+        r_infall, v_infall = infall_structure(m_acc, z_acc, concentration, self.cosmology)
+        r_ratio, v_ratio = tidal_tracks(m_bound / m_acc)
+        r_max, v_max = r_infall * r_ratio, v_infall * v_ratio
+        r_s, rho_s = nfw_parameters(r_max, v_max)
+        return WholeHalo(
+            m_halo_msun=m_halo_msun,
+            z_root=self.z_root,
+            m_bound=m_bound,
+            m_acc=m_acc,
+            z_acc=z_acc,
+            circularity=circularity,
+            concentration=concentration,
+            r_max_kpc=r_max,
+            v_max_kms=v_max,
+            r_s_kpc=r_s,
+            rho_s=rho_s,
+            r_t_kpc=r_s * truncation(m_bound / nfw_norm(r_s, rho_s)),
+            radius_kpc=self._draw_radii(tree, left, z_acc, circularity, rng),
+            n_accreted=tree.m_acc_msun.size,
+            n_friction=int(sunk.sum()),
+            n_stripped_below=int(light.sum()),
+            tree_steps=tree.steps,
+            z_half=float(self.cosmology.clock_to_redshift(tree.half_mass_clock)),
         )
 
+    def _evolve(
+        self, tree: MergerTree, ln_a_acc: FloatArray, circularity: FloatArray
+    ) -> tuple[FloatArray, BoolArray]:
+        """Bound masses at z_root [Msun], and which subhaloes dynamical friction has removed."""
+        model = self.model
+        ln_a_sunk = friction_ln_a(
+            ln_a_acc,
+            tree.host_mass_msun / tree.m_acc_msun,
+            circularity,
+            model.friction_amplitude,
+            model.friction_mass_slope,
+            model.friction_circularity_slope,
+        )
+        ln_a_trunk = -np.log1p(self.cosmology.clock_to_redshift(tree.trunk_clock))
+        field = TidalField.of_host(
+            ln_a_trunk[::-1],
+            np.log(tree.trunk_mass_msun[::-1]),
+            model.stripping_amplitude,
+            model.stripping_slope,
+            model.tau_dyn,
+            self.cosmology,
+        )
+        return field.bound_mass(tree.m_acc_msun, ln_a_acc), ln_a_sunk < ln_a_trunk[0]
 
-def _select(halo: WholeHalo, x_arcsec: FloatArray, y_arcsec: FloatArray, inside: BoolArray) -> Subhalos:
-    return Subhalos(
-        m_bound=halo.m_bound[inside],
-        m_acc=halo.m_acc[inside],
-        z_acc=halo.z_acc[inside],
-        concentration=halo.concentration[inside],
-        r_max_kpc=halo.r_max_kpc[inside],
-        v_max_kms=halo.v_max_kms[inside],
-        r_s_kpc=halo.r_s_kpc[inside],
-        rho_s=halo.rho_s[inside],
-        r_t_kpc=halo.r_t_kpc[inside],
-        x_arcsec=x_arcsec[inside],
-        y_arcsec=y_arcsec[inside],
+    def _draw_radii(
+        self,
+        tree: MergerTree,
+        left: BoolArray,
+        z_acc: FloatArray,
+        circularity: FloatArray,
+        rng: np.random.Generator,
+    ) -> FloatArray:
+        """Distances [kpc] from the centre of the subhaloes that are left."""
+        if self.model.positions == "nfw_host":
+            host_mass = np.full(z_acc.size, tree.trunk_mass_msun[0])
+            host_z = np.full(z_acc.size, self.z_root)
+        else:
+            host_mass, host_z = tree.host_mass_msun[left], z_acc
+        radius = self.cosmology.radius_200c(host_mass, host_z)
+        concentration = self.cold_concentration(host_mass, host_z)
+        if self.model.positions == "orbit_infall":
+            return draw_orbit_radii(radius, concentration, circularity, rng)
+        return draw_nfw_radii(radius, concentration, z_acc.size, rng)
+
+    def _tabulate_variance(self, dark_matter: DarkMatter) -> SharpKVariance:
+        return filtered_variance(dark_matter.transfer, self._spectrum, self.cosmology, self.model.sharp_k_a)
+
+
+def _cold_concentration(model: HaloModel, cosmology: Cosmology) -> ConcentrationRelation:
+    if model.concentration == "duffy08":
+        return ConcentrationRelation.duffy08(cosmology.h, model.concentration_min)
+    return ConcentrationRelation(
+        model.concentration_amplitude,
+        model.concentration_mass_slope,
+        model.concentration_redshift_slope,
+        model.concentration_pivot_msun,
+        model.concentration_min,
     )
+
+
+def _count_above(values: FloatArray, thresholds: FloatArray) -> IntArray:
+    return values.size - np.searchsorted(np.sort(values), thresholds, side="right")

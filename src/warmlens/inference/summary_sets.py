@@ -23,8 +23,8 @@ from warmlens.inference.bound import HEADLINE, Bound, lower_bounds
 from warmlens.inference.calibration import leave_one_out
 from warmlens.inference.distance import integral_features, whitening
 from warmlens.inference.information import Information, information
+from warmlens.inference.learned import LearnedSummaries, learned_summaries
 from warmlens.inference.table import Table
-from warmlens.summaries.learned import LearnedSummaries, learned_summaries
 from warmlens.types import FloatArray
 
 PAPER = ("correlation", "cumulative")

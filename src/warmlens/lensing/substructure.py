@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from warmlens.cosmology import Cosmology, LensGeometry
-from warmlens.halos.population import Subhalos
+from warmlens.halos.lens_halo import Subhalos
 from warmlens.halos.profiles import nfw_mass, nfw_norm
 from warmlens.imaging.grid import PixelGrid
 from warmlens.lensing.deflection import tnfw_angular_scales, tnfw_convergence

@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from warmlens.artifacts import Artifact, ArtifactError, open_artifact, settings_digest
-from warmlens.config import Config
-from warmlens.layout import CONFIG, EXCLUSION_NUMBERS
-from warmlens.snakemake_command import remaking_command
-from warmlens.stages.settings import stage_digests
-from warmlens.status import read_campaign
+from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact, settings_digest
+from warmlens.artifacts.names import CONFIG, EXCLUSION_NUMBERS
+from warmlens.campaign.settings import stage_digests
+from warmlens.campaign.snakemake import remaking_command
+from warmlens.campaign.status import read_campaign
+from warmlens.config.model import Config
 
 
 def read_inferred(results: Path) -> Config:

@@ -9,13 +9,14 @@ from typing import Any
 
 from jinja2 import UndefinedError
 
-from warmlens.artifacts import ArtifactError
+from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.names import FIGURES, REPORT, SINGLE
 from warmlens.figures import CAPTIONS
 from warmlens.inference.calibration import MIN_ROWS
-from warmlens.layout import FIGURES, REPORT, SINGLE
 from warmlens.report.collect import Campaign, FigureFile, read_report
 from warmlens.report.provenance import Provenance, read_provenance
 from warmlens.report.render import picture, render, write_page
+from warmlens.text import CITATION
 
 # Figures that stand beside the numbers they show; all others follow under "Figures".
 PLACED = ("posterior", "likelihood", "information", "calibration", "convergence", "predictive")
@@ -37,15 +38,6 @@ SECTIONS = (
     ("times", "Run times"),
     ("reproduce", "Reproduce and cite"),
 )
-CITATION = {
-    "authors": "S. Birrer, A. Amara & A. Refregier",
-    "year": "2017",
-    "title": "Lensing substructure quantification in RXJ1131-1231: a 2 keV lower bound on dark matter thermal "
-    "relic mass",
-    "journal": "JCAP 05, 037",
-    "doi": "10.1088/1475-7516/2017/05/037",
-    "arxiv": "1702.00009",
-}
 
 
 def write_report(results: Path, output: Path | None = None) -> Path:

@@ -11,15 +11,21 @@ from typing import Any
 import numpy as np
 import yaml
 
-from warmlens.artifacts import Artifact, open_artifact, settings_digest
-from warmlens.config import Config
+from warmlens.artifacts.file import Artifact, open_artifact, settings_digest
+from warmlens.artifacts.names import (
+    CHUNKED,
+    CONFIG,
+    FIGURES,
+    SINGLE,
+)
+from warmlens.campaign.files import chunks, stage_files
+from warmlens.campaign.snakemake import recorded_results, remaking_command
+from warmlens.config.model import Config
 from warmlens.inference.bound import LEVELS
 from warmlens.inference.calibration import MASS_BINS_KEV
-from warmlens.layout import CHUNKED, CONFIG, FIGURES, SINGLE, chunks, stage_files
+from warmlens.products.samples import FAILED_HERE, OK
 from warmlens.report.campaign_files import open_of_campaign, read_inferred
 from warmlens.report.smooth_fit import SmoothFit, read_smooth_fit
-from warmlens.snakemake_command import recorded_results, remaking_command
-from warmlens.stages.samples import FAILED_HERE, OK
 
 
 @dataclass(frozen=True)

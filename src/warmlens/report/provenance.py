@@ -8,11 +8,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from warmlens.artifacts import ArtifactError, open_artifact
-from warmlens.audit import check_chain
-from warmlens.config import Config
-from warmlens.layout import SINGLE, stage_files
-from warmlens.stages.settings import campaign_stages, stage_digests
+from warmlens.artifacts.chain import check_chain
+from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.settings import campaign_stages, stage_digests
+from warmlens.config.model import Config
 
 
 @dataclass(frozen=True)

@@ -15,9 +15,8 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from warmlens import __version__
-from warmlens.artifacts import ArtifactError, atomic_path
-from warmlens.report import text
+from warmlens import __version__, text
+from warmlens.artifacts.file import ArtifactError, atomic_path
 
 _SYMBOL = re.compile(
     r"(?<![\w.])(m|M|R|v|n|χ²|Σ|Δα)_(TH|h|sens|pert|smooth|sub|max|bound|red|x|y)(?![\w.=]*[\w=])"

@@ -9,20 +9,21 @@ from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts import Artifact, ArtifactError
-from warmlens.config import Config, CosmologyBlock, RedshiftBlock
+from warmlens.artifacts.file import Artifact, ArtifactError
+from warmlens.artifacts.names import CHUNKED, SINGLE
+from warmlens.campaign.files import chunks, stage_files
+from warmlens.config.model import Config, CosmologyBlock, RedshiftBlock
 from warmlens.cosmology import LensGeometry
-from warmlens.halos.population import Subhalos
+from warmlens.figures.draw.scan import ScanRow
+from warmlens.halos.lens_halo import Subhalos
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.observation import Observation
-from warmlens.layout import CHUNKED, SINGLE, chunks, stage_files
-from warmlens.plots.scan import ScanRow
+from warmlens.physics import geometry
+from warmlens.products.halos import read_subhalos
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import FAILED_HERE, OK
+from warmlens.products.scan_maps import by_band, raster_grid
 from warmlens.report.campaign_files import open_of_campaign, read_inferred
-from warmlens.stages.deflections import read_subhalos
-from warmlens.stages.halos import geometry
-from warmlens.stages.products import read_observation
-from warmlens.stages.samples import FAILED_HERE, OK
-from warmlens.stages.scan_maps import by_band, raster_grid
 from warmlens.stages.summaries import COMBINED
 from warmlens.types import FloatArray
 

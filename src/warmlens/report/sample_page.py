@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warmlens.layout import sample_page
+from warmlens.artifacts.names import sample_page
 from warmlens.report.render import picture, render, write_page
 from warmlens.report.sample import SampleRecord, read_sample
 

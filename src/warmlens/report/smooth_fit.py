@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from warmlens.artifacts import Artifact
+from warmlens.artifacts.file import Artifact
 from warmlens.imaging.noise_correlation import neighbours
-from warmlens.report.text import parameter_unit
+from warmlens.text import parameter_unit
 from warmlens.types import FloatArray
 
 

@@ -8,17 +8,16 @@ from pathlib import Path
 
 import numpy as np
 
-from warmlens.artifacts import Artifact, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.config import HalosBlock
-from warmlens.halos.population import HaloGenerator, Subhalos
-from warmlens.imaging.grid import PixelGrid
+from warmlens.artifacts.file import Dataset, Provenance, open_artifact, write_artifact
+from warmlens.config.model import HalosBlock
 from warmlens.lensing.high_pass import effective_sigma_pixels
-from warmlens.lensing.substructure import SmoothHost, filtered_deflection, required_half_width
-from warmlens.stages.halos import COLUMNS, geometry, halo_generator
-from warmlens.stages.products import read_observation
-from warmlens.stages.samples import SampleTable
+from warmlens.lensing.substructure import filtered_deflection
+from warmlens.physics import check_field, geometry, halo_generator, smooth_host
+from warmlens.products.halos import read_subhalos
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import SampleTable
+from warmlens.products.time_limit import SAMPLE_SECONDS
 from warmlens.stages.settings import DeflectionsSettings
-from warmlens.stages.time_limit import SAMPLE_SECONDS
 
 log = logging.getLogger(__name__)
 
@@ -81,27 +80,3 @@ def run(
         "m_subhalos": Dataset(totals, "Msun", sample, "their bound mass"),
     }
     write_artifact(output, provenance, datasets, {"filter_sigma_arcsec": sigma_arcsec})
-
-
-def smooth_host(generator: HaloGenerator, log10_m_halo_msun: float, f_sub: float) -> SmoothHost:
-    """What a halo of M200c holds besides its subhaloes, with the concentration of the host of their positions."""
-    m_halo, z_lens = 10.0**log10_m_halo_msun, generator.geometry.z_lens
-    concentration = float(generator.population.cold_concentration(m_halo, z_lens))
-    return SmoothHost.of_halo(m_halo, concentration, f_sub, generator.cosmology, z_lens)
-
-
-def read_subhalos(halos: Artifact, row: int) -> Subhalos:
-    """Subhaloes in the field of one sample."""
-    start, stop = halos.array("subhalos/offsets", slice(row, row + 2))
-    return Subhalos(**{name: halos.array(f"subhalos/{name}", slice(start, stop)) for name in COLUMNS})
-
-
-def check_field(half_width_arcsec: float, grid: PixelGrid, filter_arcsec: float) -> None:
-    """Refuse a field of subhaloes that does not reach three filter widths beyond the image."""
-    needed = required_half_width(grid, filter_arcsec)
-    if half_width_arcsec < needed:
-        raise ValueError(
-            f"halos.field_half_width_arcsec = {half_width_arcsec:g} is too small: the image and three widths of "
-            f"the filter (deflections.filter_arcsec = {filter_arcsec:g}) reach {needed:.2f}; "
-            "raise it to at least that"
-        )

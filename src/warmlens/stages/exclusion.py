@@ -13,17 +13,17 @@ import numpy as np
 import pandas as pd
 
 from warmlens import __version__
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, atomic_path, write_artifact
-from warmlens.audit import check_chains
-from warmlens.campaign import stream
+from warmlens.artifacts.chain import check_chains
+from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, atomic_path, write_artifact
 from warmlens.inference.acceptance import Acceptance, accept
 from warmlens.inference.calibration import CONFIDENCE, clopper_pearson
 from warmlens.inference.checks import cloud_check
 from warmlens.inference.exclusion import LEVEL, MAX_RATIO, Exclusion, exclusion
 from warmlens.inference.summary_sets import Summary, kinds_of, learned_points, points
 from warmlens.inference.table import Table
-from warmlens.stages.abc_numbers import plain
-from warmlens.stages.abc_tables import read_summaries, usable_table
+from warmlens.sampling import stream
+from warmlens.stages.abc.numbers import plain
+from warmlens.stages.abc.tables import read_summaries, usable_table
 from warmlens.stages.settings import ExclusionSettings
 from warmlens.types import BoolArray, FloatArray
 

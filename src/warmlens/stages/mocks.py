@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from warmlens.artifacts import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.campaign import stream
+from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import lensed_image, subpixel_field
 from warmlens.imaging.observation import Band
 from warmlens.imaging.psf import Convolution, point_source
 from warmlens.lensing.images import DeflectionField, moved_images
-from warmlens.stages.products import SmoothModel, read_observation, read_smooth_model, scan_band
-from warmlens.stages.samples import SampleTable, null
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import SampleTable, null
+from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.time_limit import SAMPLE_SECONDS
+from warmlens.sampling import stream
 from warmlens.stages.settings import MocksSettings, NullMocksSettings
-from warmlens.stages.time_limit import SAMPLE_SECONDS
 from warmlens.types import FloatArray
 
 

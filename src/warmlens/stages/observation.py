@@ -3,17 +3,13 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts import Dataset, Provenance, open_artifact, write_artifact
-from warmlens.campaign import stream
-from warmlens.config_file import expand_path
-from warmlens.config_observation import FitsBandBlock, ObservationBlock, SimulatedBlock
-from warmlens.config_types import ConfigError
+from warmlens.artifacts.file import Dataset, Provenance, write_artifact
+from warmlens.config.observation import SimulatedBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import subpixel_field
 from warmlens.imaging.noise import NoiseModel
@@ -22,12 +18,12 @@ from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.source import SpiralSource
 from warmlens.lensing.macro_model import deflection, light_images
 from warmlens.lensing.substructure import filtered_deflection
-from warmlens.stages.deflections import check_field, smooth_host
-from warmlens.stages.fits_input import input_files, read_band
-from warmlens.stages.halos import geometry, halo_generator
-from warmlens.stages.products import observation_datasets, read_observation
+from warmlens.physics import check_field, geometry, halo_generator, smooth_host
+from warmlens.products.images import artifact_path, input_files, read_fits
+from warmlens.products.observation import copy_bands, observation_datasets
+from warmlens.sampling import stream
 from warmlens.stages.settings import ObservationSettings
-from warmlens.types import BoolArray, FloatArray
+from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
 
@@ -54,70 +50,6 @@ def run(settings: ObservationSettings, output: Path) -> None:
         assert block.simulated is not None
         metadata["truth"] = block.simulated.truth.model_dump()
     write_artifact(output, provenance, {**datasets, **extra}, metadata)
-
-
-def read_fits(blocks: dict[str, FitsBandBlock]) -> Observation:
-    """Read all bands; they must share one pixel grid."""
-    grids: list[PixelGrid] = []
-    bands: list[Band] = []
-    for name, block in blocks.items():
-        grid, band = read_band(name, block)
-        grids.append(grid)
-        bands.append(band)
-        if grid != grids[0]:
-            raise ValueError(
-                f"band {name} lies on other pixels than band {bands[0].name}: {grid} against {grids[0]}; "
-                "align the images (same shape, pixel scale, orientation and centre)"
-            )
-    return Observation("fits", grids[0], tuple(bands))
-
-
-def artifact_path(block: ObservationBlock) -> Path:
-    """The observation of another campaign that `kind: artifact` takes its bands from; it must be there."""
-    assert block.artifact is not None  # config: kind artifact comes with its path
-    path = expand_path(block.artifact)
-    if not path.is_file():
-        raise ConfigError([f"observation.artifact: {path}: no such file; run the campaign that makes it first"])
-    return path
-
-
-def copy_bands(source: Path, bands: Sequence[str]) -> tuple[dict[str, Dataset], dict[str, Any]]:
-    """Datasets and metadata of some bands of another observation; with all of them, its content exactly.
-
-    Raises
-    ------
-    ArtifactError
-        If the file is damaged or no observation, naming it.
-    ConfigError
-        If it lacks a band.
-    """
-    read_observation(source)  # refuses what is no observation
-    with open_artifact(source, "observation") as artifact:
-        known = artifact.metadata["bands"]
-        missing = [band for band in bands if band not in known]
-        if missing:
-            raise ConfigError([f"observation.bands: {source} has no bands {missing}; it has {known}"])
-        left_out = [f"{band}/" for band in known if band not in bands]
-        datasets = {
-            name: artifact.dataset(name) for name in artifact.names if not name.startswith(tuple(left_out))
-        }
-        noise = {band: artifact.metadata["noise"][band] for band in bands}
-        return datasets, {**artifact.metadata, "bands": list(bands), "noise": noise}
-
-
-def planned_mask(block: ObservationBlock) -> tuple[PixelGrid, BoolArray]:
-    """Pixel grid and the pixels that some band uses [ny, nx], before the stage has run."""
-    if block.kind == "simulated":
-        assert block.simulated is not None  # config: kind simulated comes with its block
-        grid = PixelGrid.centred(block.simulated.shape, block.simulated.pixel_scale_arcsec)
-        return grid, np.ones(grid.shape, dtype=bool)
-    if block.kind == "artifact":
-        observed = read_observation(artifact_path(block))
-    else:
-        assert block.fits is not None
-        observed = read_fits({name: block.fits[name] for name in block.bands})
-    masks = [band.mask for band in observed.bands if band.name in block.bands]
-    return observed.grid, np.logical_or.reduce(masks)
 
 
 def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Dataset]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from warmlens.artifacts import (
+from warmlens.artifacts.file import (
     Artifact,
     ArtifactError,
     Dataset,
@@ -16,25 +16,21 @@ from warmlens.artifacts import (
     open_artifact,
     write_artifact,
 )
-from warmlens.campaign import Span
-from warmlens.config import ScanBlock
+from warmlens.config.model import ScanBlock
 from warmlens.fitting.linear import LinearModel, build_linear_model
 from warmlens.imaging.observation import Observation
 from warmlens.imaging.shapelets import pixel_basis
-from warmlens.scan.nested import NestedShapelets
-from warmlens.scan.operator import build_shard, project_band
-from warmlens.scan.perturber import Perturber
-from warmlens.scan.raster import Raster
-from warmlens.stages.products import (
-    SmoothModel,
+from warmlens.physics import scan_nested, scan_perturber, scan_raster
+from warmlens.products.observation import read_observation
+from warmlens.products.scan_operator import (
     design_datasets,
     read_linear_model,
-    read_observation,
     read_projection,
-    read_smooth_model,
-    scan_band,
     shard_datasets,
 )
+from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.sampling import Span
+from warmlens.scan.operator import build_shard, project_band
 from warmlens.stages.settings import ScanSettings
 
 log = logging.getLogger(__name__)
@@ -145,22 +141,3 @@ def check_origin(artifact: Artifact, settings: ScanSettings, inputs: dict[str, P
                 f"{artifact.path}: was made from another {name} (digest {found[:12]}, {path} has {wanted[:12]}); "
                 f"{remedy}"
             )
-
-
-def scan_perturber(block: ScanBlock) -> Perturber:
-    """Perturber of the configuration."""
-    return Perturber(block.perturber.theta_e_arcsec, block.perturber.r_trunc_arcsec)
-
-
-def scan_nested(block: ScanBlock) -> NestedShapelets | None:
-    """Nested shapelets of the configuration."""
-    nested = block.nested
-    return None if nested is None else NestedShapelets(nested.n_max, nested.ridge, nested.beta_range_arcsec)
-
-
-def scan_raster(block: ScanBlock, observed: Observation) -> Raster:
-    """Raster of the configuration; without a window, around the pixels that are unmasked in any band."""
-    if block.window_arcsec is not None:
-        return Raster(*block.window_arcsec, block.step_arcsec, block.center)
-    mask = np.logical_or.reduce([band.mask for band in observed.bands])
-    return Raster.around(mask, observed.grid, block.step_arcsec)

@@ -11,9 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from warmlens.artifacts import Artifact, ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, Provenance, open_artifact, write_artifact
 from warmlens.fitting.linear import LinearFit, physical_coefficients, solve
 from warmlens.imaging.observation import Observation
+from warmlens.physics import geometry, scan_perturber, scan_raster
+from warmlens.products.observation import read_observation
+from warmlens.products.samples import SampleTable, after, null
+from warmlens.products.scan_operator import read_linear_model, read_shard
+from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
 from warmlens.scan.apply import delta_r, delta_r_and_response
 from warmlens.scan.maps import residual_images, residual_maps
 from warmlens.scan.response import (
@@ -22,17 +27,7 @@ from warmlens.scan.response import (
     expected_delta_r,
     mass_within_truncation,
 )
-from warmlens.stages.halos import geometry
-from warmlens.stages.products import (
-    SmoothModel,
-    read_linear_model,
-    read_observation,
-    read_shard,
-    read_smooth_model,
-    scan_band,
-)
-from warmlens.stages.samples import SampleTable, after, null
-from warmlens.stages.scan_operator import check_origin, scan_perturber, scan_raster
+from warmlens.stages.scan_operator import check_origin
 from warmlens.stages.settings import ScanSettings
 from warmlens.types import BoolArray, FloatArray, IntArray
 

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from warmlens.artifacts import Dataset, Provenance, write_artifact
-from warmlens.config_smooth_model import SmoothModelBlock
+from warmlens.artifacts.file import Dataset, Provenance, write_artifact
+from warmlens.config.smooth_model import SmoothModelBlock
+from warmlens.fitting.lens_fit import LensFit, fit_lens, noise_sigma, outside_cores, solve_given
 from warmlens.fitting.smooth_model import BandFit, band_fit
 from warmlens.fitting.variable_projection import covariance, prior_axes
 from warmlens.imaging.mock import lensed_image
@@ -19,8 +20,8 @@ from warmlens.imaging.noise_correlation import autocorrelation, neighbours
 from warmlens.imaging.observation import Observation
 from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
-from warmlens.stages.lens_fit import LensFit, fit_lens, noise_sigma, outside_cores, solve_given
-from warmlens.stages.products import SmoothModel, read_observation, scan_band, smooth_model_datasets
+from warmlens.products.observation import read_observation
+from warmlens.products.smooth_model import SmoothModel, scan_band, smooth_model_datasets
 from warmlens.stages.settings import SmoothModelSettings
 from warmlens.types import FloatArray
 

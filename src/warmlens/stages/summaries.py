@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from warmlens.artifacts import Artifact, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.stages.samples import SampleTable, after, null
+from warmlens.artifacts.file import Artifact, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.products.samples import SampleTable, after, null
 from warmlens.stages.settings import SummariesSettings
 from warmlens.summaries.correlation import PairGeometry, correlation_function
 from warmlens.summaries.cumulative import counts_below, cumulative_distribution, threshold_grid

@@ -1,0 +1,1 @@
+"""HDF5 artifacts: how a file is written, named and trusted."""

@@ -1,0 +1,1 @@
+"""What an auditor reads: every file checked, the manifest, the RO-Crate."""

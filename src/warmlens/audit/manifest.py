@@ -1,0 +1,195 @@
+"""`manifest.json`: every file of a finished campaign with its size and SHA-256, and what made it."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Callable
+from datetime import UTC, datetime
+from importlib import metadata
+from pathlib import Path, PurePosixPath
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+
+from warmlens import __version__
+from warmlens.artifacts.chain import Header, check_chain, read_header
+from warmlens.artifacts.code_version import code_commit
+from warmlens.artifacts.file import ArtifactError, atomic_path, file_digest, open_artifact
+from warmlens.artifacts.names import (
+    ANSWER_FILES,
+    CONFIG,
+    MANIFEST,
+    REPORT,
+    SINGLE,
+)
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.settings import campaign_stages, stage_digests
+from warmlens.campaign.snakemake import remaking_command
+from warmlens.config.model import Config
+from warmlens.figures.inputs import drawn_figures
+
+LIBRARIES = ("astropy", "colossus", "h5py", "lenstronomy", "numba", "numpy", "pandas", "scipy", "snakemake")
+_MAX_BYTES = 2**26
+
+Kind = Literal["artifact", "configuration", "table", "figure", "report"]
+
+
+def _relative(name: str) -> str:
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or str(path) != name:
+        raise ValueError(f"{name!r} is no plain path below the results folder")
+    return name
+
+
+class _Plain(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
+
+
+class ManifestFile(_Plain):
+    """One file: its path under the results folder; an artifact also with its stage, digests and commit."""
+
+    path: Annotated[str, AfterValidator(_relative)]
+    kind: Kind
+    size: int
+    sha256: str
+    stage: str | None = None
+    digest: str | None = None
+    settings_sha256: str | None = None
+    git_commit: str | None = None
+    created_utc: str | None = None
+
+
+class Manifest(_Plain):
+    """All files of a campaign, and the program that wrote the list."""
+
+    format: Literal["warmlens/manifest"] = "warmlens/manifest"
+    format_version: Literal[1] = 1
+    created_utc: str
+    package_version: str
+    git_commit: str
+    git_dirty: bool
+    python: str
+    libraries: dict[str, str]
+    seed: int
+    config: dict[str, Any]
+    files: list[ManifestFile]
+
+
+def derived_files(config: Config) -> dict[Path, Kind]:
+    """Files of a finished campaign that are no artifacts, and what they are."""
+    root = Path(config.results)
+    answer = campaign_stages(config)[-1]
+    files: dict[Path, Kind] = {root / CONFIG: "configuration"}
+    files |= dict.fromkeys((root / name for name in ANSWER_FILES[answer]), "table")
+    for name in drawn_figures(config):
+        files |= dict.fromkeys((root / f"figures/{name}.{kind}" for kind in ("png", "csv")), "figure")
+    if answer == "abc":
+        files[root / REPORT] = "report"
+    return files
+
+
+def artifact_files(config: Config) -> dict[Path, str]:
+    """Every artifact of a campaign and its stage."""
+    return {path: stage for stage in campaign_stages(config) for path in stage_files(config, stage)}
+
+
+def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None) -> tuple[Manifest, list[Header]]:
+    """Hash every file of a finished campaign.
+
+    Parameters
+    ----------
+    config
+        Of the campaign; its files are looked for in `config.results`.
+    done
+        Told of every file.
+
+    Returns
+    -------
+    manifest
+        The files, artifacts first.
+    headers
+        Of the artifacts, in the same order.
+
+    Raises
+    ------
+    ArtifactError
+        If a file is missing, or the chain of artifacts is not whole: nothing to be published.
+    """
+    root = Path(config.results)
+    artifacts, derived = artifact_files(config), derived_files(config)
+    missing = [path for path in (*artifacts, *derived) if not path.exists()]
+    if missing:
+        raise ArtifactError(
+            f"{missing[0]}: no such file ({len(missing)} of the campaign missing); a manifest needs a finished "
+            f"campaign, run it first: {remaking_command(root)}"
+        )
+    check_chain(root / SINGLE[campaign_stages(config)[-1]], stage_digests(config))
+    files, headers = [], []
+    for path, stage in artifacts.items():
+        with open_artifact(path, stage) as artifact:
+            header = read_header(artifact, path)
+        headers.append(header)
+        files.append(
+            ManifestFile(
+                **_bytes(path, root),
+                kind="artifact",
+                stage=stage,
+                digest=header.digest,
+                settings_sha256=header.settings_sha256,
+                git_commit=header.git_commit,
+                created_utc=header.created_utc,
+            )
+        )
+        done(path)
+    for path, kind in derived.items():
+        files.append(ManifestFile(**_bytes(path, root), kind=kind))
+        done(path)
+    commit, dirty = code_commit()
+    manifest = Manifest(
+        created_utc=datetime.now(UTC).isoformat(timespec="seconds"),
+        package_version=__version__,
+        git_commit=commit,
+        git_dirty=dirty,
+        python=platform.python_version(),
+        libraries={name: metadata.version(name) for name in LIBRARIES},
+        seed=config.campaign.seed,
+        config=json.loads((root / CONFIG).read_text()),
+        files=files,
+    )
+    return manifest, headers
+
+
+def _bytes(path: Path, root: Path) -> dict[str, Any]:
+    return {
+        "path": path.relative_to(root).as_posix(),
+        "size": path.stat().st_size,
+        "sha256": file_digest(path),
+    }
+
+
+def write_manifest(manifest: Manifest, path: Path) -> None:
+    """Write a manifest as JSON."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n")
+
+
+def read_manifest(results: Path) -> Manifest | None:
+    """Manifest of a results folder; None if there is none.
+
+    Raises
+    ------
+    ArtifactError
+        If the file is no manifest.
+    """
+    path = results / MANIFEST
+    if not path.is_file():
+        return None
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise ValueError(f"it has more than {_MAX_BYTES} bytes")
+        return Manifest.model_validate_json(path.read_bytes())
+    except (OSError, ValueError) as error:
+        where = error.errors()[0] if isinstance(error, ValidationError) else None
+        reason = f"{'.'.join(map(str, where['loc']))}: {where['msg']}" if where else str(error)
+        raise ArtifactError(f"{path}: no manifest ({reason}); write one: warmlens manifest {results}") from error

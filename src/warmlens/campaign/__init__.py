@@ -1,0 +1,1 @@
+"""A campaign as a whole: its stages and files, starting it, how far it is."""

@@ -1,0 +1,175 @@
+"""Starting a campaign from another one: what the change leaves as it is gets linked, not made again."""
+
+from __future__ import annotations
+
+import errno
+import json
+import logging
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from warmlens.artifacts.chain import input_paths
+from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest, open_artifact, settings_digest
+from warmlens.artifacts.names import CONFIG, SINGLE
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.settings import campaign_stages, stage_digests, stage_settings
+from warmlens.config.model import Config
+
+log = logging.getLogger(__name__)
+
+MARK = "branch.json"
+_NO_LINK = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP)
+
+
+@dataclass(frozen=True)
+class StageBranch:
+    """What a branch holds of one stage, before it is run.
+
+    Attributes
+    ----------
+    stage
+        Its name.
+    n_files
+        Artifacts that the stage has in this campaign.
+    n_linked
+        Of these, taken over from the base just now.
+    n_there
+        Of these, found in place: taken over or made earlier.
+    n_removed
+        Artifacts of other settings that were in place and are gone, for the workflow to make them anew.
+    """
+
+    stage: str
+    n_files: int
+    n_linked: int
+    n_there: int
+    n_removed: int
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing of the stage is left to be made."""
+        return self.n_linked + self.n_there == self.n_files
+
+
+def branch(base: Path, config: Config) -> list[StageBranch]:
+    """Put all artifacts of `base` that are right for `config` into its results folder, as hard links.
+
+    An artifact is right if it is complete, was made with exactly the settings that its stage has under `config`,
+    and all its inputs in the new folder have the content that it was made from. Across file systems it is
+    copied. Times are kept, so that Snakemake finds it up to date. The last stage is always left to the workflow.
+
+    Parameters
+    ----------
+    base
+        Results folder of the campaign to start from.
+    config
+        The new campaign; `config.results` is its folder, which may hold an earlier, also an interrupted, branch.
+
+    Returns
+    -------
+    list of StageBranch
+        One a stage, in the order in which they run.
+
+    Raises
+    ------
+    ArtifactError
+        If the base is no campaign, or the new folder holds a campaign that is no branch.
+    """
+    target = Path(config.results)
+    _check_folders(base, target, config)
+    with atomic_path(target / MARK) as temporary:
+        temporary.write_text(json.dumps({"base": os.path.relpath(base, target)}) + "\n")
+    digests = stage_digests(config)
+    found = []
+    for stage in campaign_stages(config)[:-1]:
+        linked, there, removed = 0, 0, 0
+        files = stage_files(config, stage)
+        for place in files:
+            source = base / place.relative_to(target)
+            if _fits(place, place, stage, digests[stage]):
+                there += 1
+            elif _fits(source, place, stage, digests[stage]):
+                _link(source, place)
+                linked += 1
+            elif place.exists():
+                place.unlink()  # Snakemake keeps no record of what was linked, and would take it as it is
+                removed += 1
+        if stage == "observation":
+            there += _observe(config, base) if not linked + there else 0
+            _date_like(base / SINGLE[stage], target / SINGLE[stage])
+        found.append(StageBranch(stage, len(files), linked, there, removed))
+    return found
+
+
+def _check_folders(base: Path, target: Path, config: Config) -> None:
+    if not (base / CONFIG).is_file():
+        raise ArtifactError(
+            f"{base / CONFIG}: no such file; is {base} the results folder of a campaign that was run?"
+        )
+    if target.resolve() == base.resolve():
+        raise ArtifactError(f"{target}: a branch needs a folder of its own; give another `results` in the overlay")
+    if (target / MARK).is_file():
+        return
+    if any(path.exists() for stage in campaign_stages(config) for path in stage_files(config, stage)):
+        raise ArtifactError(
+            f"{target}: holds a campaign that is no branch of another one; give another `results` in the overlay"
+        )
+
+
+def _fits(path: Path, place: Path, stage: str, digest: str) -> bool:
+    """Whether the artifact `path` is what the campaign needs at `place`."""
+    if not path.exists():
+        return False
+    try:
+        with open_artifact(path, stage) as artifact:
+            if settings_digest(artifact.settings) != digest:
+                return False
+            inputs = {
+                source: artifact.inputs[name]["digest"] for name, source in input_paths(artifact, place).items()
+            }
+        return all(source.exists() and input_digest(source) == wanted for source, wanted in inputs.items())
+    except (ArtifactError, OSError) as error:
+        log.warning("not used, and made anew: %s", error)
+        return False
+
+
+def _link(source: Path, place: Path) -> None:
+    with atomic_path(place) as temporary:
+        try:
+            os.link(source, temporary)
+        except OSError as error:
+            if error.errno not in _NO_LINK:
+                raise
+            shutil.copy2(source, temporary)
+
+
+def _observe(config: Config, base: Path) -> int:
+    """Read an image of the user or of another campaign, for what was made from it to be recognised; 1 if so.
+
+    The path of its file is recorded relative to the artifact, so that this cannot just be linked.
+    """
+    from warmlens.stages import observation
+    from warmlens.stages.settings import ObservationSettings
+
+    if config.observation.kind == "simulated" or not (base / SINGLE["observation"]).is_file():
+        return 0
+    settings = stage_settings(config, "observation")
+    assert isinstance(settings, ObservationSettings)
+    observation.run(settings, Path(config.results) / SINGLE["observation"])
+    return 1
+
+
+def _date_like(original: Path, path: Path) -> None:
+    """Give `path` the time of `original` if both hold the same, so that what was made of either is up to date."""
+    if not (original.exists() and path.exists()) or path.samefile(original):
+        return
+    try:
+        same = input_digest(original) == input_digest(path)
+    except ArtifactError as error:
+        log.warning("%s", error)
+        return
+    if same:
+        stat = original.stat()
+        os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))

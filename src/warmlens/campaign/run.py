@@ -1,0 +1,179 @@
+"""`warmlens run | resume | extend`: Snakemake with the flags that a campaign needs, and the time that is left."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from warmlens.artifacts.file import ArtifactError, atomic_path
+from warmlens.artifacts.names import CONFIG
+from warmlens.campaign import locks
+from warmlens.campaign.snakemake import SNAKEMAKE, arguments, recorded_results
+from warmlens.campaign.status import campaign_status, progress_line, read_campaign
+from warmlens.config.file import ConfigError, parse_config
+
+_REPORT_SECONDS = 15.0
+_POLL_SECONDS = 0.2
+
+
+def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str]) -> int:
+    """Run Snakemake on config.yaml and overlays in this folder; return its exit code.
+
+    Parameters
+    ----------
+    overlays
+        Configuration files, later ones win.
+    results
+        Results folder that they name, for the progress.
+    cores
+        Jobs at a time; 0: all cores of this machine, or what a profile among `extra` says.
+    extra
+        Passed to Snakemake as they are: targets and flags.
+
+    Raises
+    ------
+    ArtifactError
+        If this is not the folder of the workflow.
+    LockedError
+        If another Snakemake is at work here, or may be.
+    """
+    folder = Path()
+    if not (folder / "Snakefile").is_file():
+        raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
+    lift_abandoned_lock(folder, overlays)
+    bring_back_from_the_future(results)
+    own_profile = any(word.startswith("--workflow-profile") for word in extra)
+    size = None if own_profile and not cores else cores or default_cores()
+    return _watch([SNAKEMAKE, *arguments(size, overlays, extra)], results, cores or default_cores())
+
+
+def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:
+    """Lift the lock that a killed Snakemake left in its working folder.
+
+    Raises
+    ------
+    LockedError
+        If it is not certain that its owner is gone.
+    """
+    if locks.is_locked(folder):
+        locks.check_abandoned(folder)
+        print("the last run was killed; its lock is lifted, what it had finished is kept", flush=True)
+        subprocess.run([SNAKEMAKE, *arguments(1, overlays), "--unlock", "--quiet"], cwd=folder, check=True)
+    locks.forget_gone(folder)
+
+
+def bring_back_from_the_future(results: Path) -> None:
+    """Give files that are newer than now, as after a clock was set back, the time that it is.
+
+    Snakemake takes what is made now from such a file for outdated, and fails. What was made from what is in the
+    artifacts themselves.
+    """
+    now = time.time()
+    future = [path for path in results.rglob("*") if path.is_file() and path.stat().st_mtime > now]
+    for path in future:
+        os.utime(path, (now, now))
+    if future:
+        print(f"{len(future)} files in {results} had times in the future (a clock set back?), now the present one")
+
+
+def resume(results: Path, cores: int, extra: Sequence[str]) -> int:
+    """Go on with a campaign as it was last started; return Snakemake's exit code."""
+    _read_own(results)
+    return run([results / CONFIG], results, cores, extra)
+
+
+def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str]) -> int:
+    """Raise the number of samples of a campaign and go on with it; return Snakemake's exit code.
+
+    Raises
+    ------
+    ArtifactError
+        If it has as many already.
+    """
+    path = results / CONFIG
+    raw = _read_own(results)
+    present = raw["campaign"]["n_samples"]
+    if n_samples <= present:
+        raise ArtifactError(f"{path}: the campaign has {present} samples already; extend takes the new total")
+    raw["campaign"]["n_samples"] = n_samples
+    parse_config(raw)
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps(raw, indent=2))
+    return run([path], results, cores, extra)
+
+
+def _read_own(results: Path) -> dict[str, Any]:
+    """Configuration of the campaign in `results`, which must lie where it says.
+
+    Raises
+    ------
+    ArtifactError
+        If the folder was moved: Snakemake would begin anew where it was.
+    """
+    read_campaign(results)
+    recorded = recorded_results(results)
+    if recorded.resolve() != results.resolve():
+        raise ArtifactError(
+            f"{results / CONFIG}: the campaign was started as {recorded} and now lies in {results}; move it back, "
+            "start from the folder that it was started from, or change `results` in that file"
+        )
+    raw: dict[str, Any] = json.loads((results / CONFIG).read_text())
+    return raw
+
+
+def _watch(command: Sequence[str], results: Path, cores: int) -> int:
+    """Run a command, say every now and then how far the campaign is, and hand signals on."""
+
+    def stop(number: int, _: FrameType | None) -> None:
+        process.send_signal(number)
+        say("no more jobs are started, those that run are finished first")
+
+    def interrupted(*_: object) -> None:
+        say("the jobs that run are stopped, finished artifacts are kept")
+
+    def say(what_happens: str) -> None:
+        print(f"stopping: {what_happens}; `warmlens resume {results}` goes on from there", flush=True)
+
+    with subprocess.Popen(command) as process:  # whatever happens here, Snakemake is waited for
+        handlers: dict[int, Callable[..., None]] = {signal.SIGTERM: stop, signal.SIGHUP: stop}
+        # Ctrl-C reaches Snakemake and its jobs from the terminal; Snakemake waits for their end, and so does this.
+        handlers[signal.SIGINT] = interrupted
+        before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+        try:
+            _tell_progress(process, results, cores)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+    return process.returncode
+
+
+def _tell_progress(process: subprocess.Popen[bytes], results: Path, cores: int) -> None:
+    """Until a process ends, print how far the campaign is whenever that has changed."""
+    said, last = "", time.monotonic()
+    while process.poll() is None:
+        time.sleep(_POLL_SECONDS)
+        if time.monotonic() - last > _REPORT_SECONDS and (results / CONFIG).is_file():
+            line = _progress(results, cores)
+            if line != said:
+                print(line, flush=True)
+            said, last = line, time.monotonic()
+
+
+def _progress(results: Path, cores: int) -> str:
+    """How far the campaign is; an artifact that cannot be read is said, and ends nothing."""
+    try:
+        return progress_line(campaign_status(read_campaign(results)), cores)
+    except (ArtifactError, ConfigError) as error:
+        return f"how far the campaign is cannot be told: {error}"
+
+
+def default_cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0))

@@ -1,0 +1,56 @@
+"""How Snakemake is called: by the front end, and in the words of messages."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from warmlens.artifacts.names import CONFIG
+
+PROFILE = "workflow/profiles/local"
+SNAKEMAKE = str(Path(sys.executable).parent / "snakemake")
+
+
+def arguments(cores: int | str | None, overlays: Sequence[Path], extra: Sequence[str] = ()) -> list[str]:
+    """Arguments of Snakemake for config.yaml and overlays.
+
+    Parameters
+    ----------
+    cores
+        Jobs at a time, or "all"; None if a profile among `extra` says it.
+    overlays
+        Configuration files, later ones win.
+    extra
+        Targets and flags as they are; a profile among them wins.
+    """
+    size = [] if cores is None else ["--cores", str(cores)]
+    words = [*size, "--workflow-profile", PROFILE, *extra]
+    return [*words, "--configfile", *map(str, overlays)] if overlays else words
+
+
+def snakemake_command(overlays: Sequence[Path], cores: int | str = "all") -> str:
+    """The command line of a campaign, for people to type."""
+    return shlex.join(["snakemake", *arguments(cores, overlays)])
+
+
+def recorded_results(results: Path) -> Path:
+    """Results folder as its configuration names it, from the folder that Snakemake runs in."""
+    return Path(json.loads((results / CONFIG).read_text())["results"])
+
+
+def remaking_command(results: Path, *names: str) -> str:
+    """What makes the campaign of a results folder, or some of its files, with the configuration of its last run.
+
+    Parameters
+    ----------
+    results
+        Results folder with the configuration in it.
+    names
+        Paths under it; the whole campaign unless given.
+    """
+    root = recorded_results(results)
+    command = snakemake_command([root / CONFIG])  # as the workflow calls them
+    return " ".join([command, "--", shlex.join(str(root / name) for name in names)]) if names else command

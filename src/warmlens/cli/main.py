@@ -1,0 +1,303 @@
+"""Command line for people: start, watch, check and look at a campaign. The stages are in `cli.stages`."""
+
+from __future__ import annotations
+
+import logging
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Optional
+
+import typer
+
+from warmlens import runtime
+from warmlens.cli import stages
+
+if TYPE_CHECKING:
+    from warmlens.config.model import Config
+
+_HELP = "From the image of a strong gravitational lens to a lower bound on the mass of warm dark matter."
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, help=_HELP)
+
+Output = Annotated[Path, typer.Option(help="File to write.")]
+ConfigFiles = Annotated[
+    Optional[list[Path]],  # noqa: UP045 (typer reads the annotation at run time)
+    typer.Option("--configfile", help="Overlays on config.yaml, later ones win."),
+]
+Artifacts = Annotated[
+    Optional[list[str]],  # noqa: UP045
+    typer.Option(help="stage=path of an input; repeat the option."),
+]
+Results = Annotated[Path, typer.Argument(help="Results folder of a campaign.")]
+Cores = Annotated[int, typer.Option(help="Jobs at a time; 0: all cores.")]
+_PASSED_ON = {"allow_extra_args": True}  # to Snakemake
+
+
+@app.command(context_settings=_PASSED_ON)
+def run(context: typer.Context, configfile: ConfigFiles = None, cores: Cores = 0) -> None:
+    """Start or go on with the campaign of config.yaml and overlays; what follows `--` goes to Snakemake.
+
+    Among it can be another profile: `-- --workflow-profile workflow/profiles/slurm`.
+    """
+    from warmlens.campaign import run as front_end
+
+    results = Path(_load(configfile).results)
+    raise typer.Exit(front_end.run(configfile or [], results, cores, context.args))
+
+
+@app.command(context_settings=_PASSED_ON)
+def resume(context: typer.Context, results: Results, cores: Cores = 0) -> None:
+    """Go on with a campaign as it was last started, also after a kill; what follows `--` goes to Snakemake."""
+    from warmlens.campaign import run as front_end
+
+    raise typer.Exit(front_end.resume(results, cores, context.args))
+
+
+@app.command(context_settings=_PASSED_ON)
+def extend(
+    context: typer.Context,
+    results: Results,
+    n_samples: Annotated[int, typer.Argument(help="Samples in all, more than there are.")],
+    cores: Cores = 0,
+) -> None:
+    """Raise the number of samples of a campaign; nothing that is finished is computed again."""
+    from warmlens.campaign import run as front_end
+
+    raise typer.Exit(front_end.extend(results, n_samples, cores, context.args))
+
+
+@app.command()
+def status(
+    results: Results,
+    cores: Annotated[int, typer.Option(help="Cores that the campaign runs on, for the time left.")] = 0,
+) -> None:
+    """Show what is done, what failed and how long the rest will take."""
+    from warmlens.campaign.status import campaign_status, print_status, read_campaign
+
+    print_status(campaign_status(read_campaign(results)), cores or os.cpu_count() or 1)
+
+
+@app.command()
+def result(results: Results) -> None:
+    """Print the bound of a finished campaign, or what its grid excludes, what stands beside it, where to look."""
+    from warmlens.report.exclusion import is_grid, print_exclusion
+    from warmlens.report.result import print_result
+
+    (print_exclusion if is_grid(results) else print_result)(results)
+
+
+@app.command()
+def report(
+    results: Results,
+    output: Annotated[Optional[Path], typer.Option(help="HTML file; RESULTS/report.html unless given.")] = None,  # noqa: UP045
+) -> None:
+    """Write one self-contained HTML page with everything that a finished campaign found."""
+    from warmlens.report.campaign_page import write_report
+
+    typer.echo(write_report(results, output))
+
+
+@app.command()
+def show(
+    results: Results,
+    sample: Annotated[int, typer.Argument(help="Number of the sample, from 0.")],
+    output: Annotated[Optional[Path], typer.Option(help="HTML file; under RESULTS/samples unless given.")] = None,  # noqa: UP045
+) -> None:
+    """Write one self-contained HTML page of a sample: subhaloes, deflection, mock, scan and summaries."""
+    from warmlens.report.sample_page import write_sample
+
+    typer.echo(write_sample(results, sample, output))
+
+
+@app.command()
+def figure(
+    name: Annotated[str, typer.Argument(help="Of a campaign's figure, or 1 to 8: the paper's.")],
+    output: Annotated[
+        Path, typer.Option(help="Picture to write (.png, .pdf, .svg); its data go beside it as .csv.")
+    ],
+    artifact: Artifacts = None,
+    results: Annotated[
+        Optional[list[Path]],  # noqa: UP045
+        typer.Option(help="Results folder of a campaign; repeat the option to compare several in Figs. 6 and 7."),
+    ] = None,
+    configfile: ConfigFiles = None,
+) -> None:
+    """Draw a figure of a campaign, or one of the paper; Figs. 1, 2 and 8 need the configuration alone."""
+    from warmlens.campaign.status import read_campaign
+    from warmlens.figures import registry
+
+    if name in registry.FROM_CONFIG:
+        registry.write_from_config(name, read_campaign(results[0]) if results else _load(configfile), output)
+    elif results:
+        registry.write_from_results(name, results, output)
+    else:
+        inputs = {key: Path(path) for key, _, path in (item.partition("=") for item in artifact or [])}
+        registry.write_from_artifacts(name, inputs, output)
+
+
+@app.command()
+def combine(
+    results: Annotated[list[Path], typer.Argument(help="Results folders of campaigns, each of another lens.")],
+    output: Annotated[Optional[Path], typer.Option(help="JSON file for the numbers.")] = None,  # noqa: UP045
+) -> None:
+    """Combine lenses: the product of their likelihood ratios in the relic mass, and its bound."""
+    from warmlens.report.combination import combine_results
+
+    combine_results(results, output)
+
+
+@app.command()
+def audit(
+    results: Results,
+    configfile: ConfigFiles = None,
+    json_: Annotated[
+        bool, typer.Option("--json", help="Print JSON for scripts (docs/audit.md has the keys).")
+    ] = False,
+) -> None:
+    """Re-hash every file and follow the chain from the posterior to the observation; exit code 1 if not well."""
+    from warmlens.audit.campaign import audit_campaign
+    from warmlens.audit.manifest import artifact_files, derived_files
+    from warmlens.audit.report import as_json, print_audit
+    from warmlens.campaign.status import read_campaign
+    from warmlens.cli.progress import progress
+
+    config = _load(configfile) if configfile else read_campaign(results)
+    config = config.model_copy(update={"results": str(results)})
+    with progress("audit", [*artifact_files(config), *derived_files(config)]) as done:
+        found = audit_campaign(config, done)
+    if json_:
+        typer.echo(as_json(found))
+    else:
+        print_audit(found)
+    raise typer.Exit(0 if found.sound else 1)
+
+
+@app.command()
+def manifest(
+    results: Results,
+    license_url: Annotated[
+        Optional[str],  # noqa: UP045
+        typer.Option("--license", help="URL of the license of the data, for the RO-Crate."),
+    ] = None,
+) -> None:
+    """Write manifest.json and ro-crate-metadata.json of a finished campaign, for publication."""
+    from warmlens.artifacts.names import CRATE, MANIFEST
+    from warmlens.audit.crate import write_crate
+    from warmlens.audit.manifest import artifact_files, derived_files, make_manifest, write_manifest
+    from warmlens.campaign.status import read_campaign
+    from warmlens.cli.progress import progress
+
+    config = read_campaign(results)
+    with progress("manifest", [*artifact_files(config), *derived_files(config)]) as done:
+        made, headers = make_manifest(config, done)
+    write_manifest(made, results / MANIFEST)
+    write_crate(results, made, headers, license_url)
+    for name in (MANIFEST, CRATE):
+        typer.echo(results / name)
+
+
+@app.command()
+def branch(
+    base: Annotated[Path, typer.Argument(help="Results folder of the campaign to start from.")],
+    configfile: ConfigFiles = None,
+) -> None:
+    """Start a campaign from another one: what the change leaves as it is is linked, not made again."""
+    from warmlens.campaign.branch import branch as take_over
+    from warmlens.campaign.snakemake import snakemake_command
+
+    config = _load(configfile)
+    stages = take_over(base, config)
+    for stage in stages:
+        left = stage.n_files - stage.n_linked - stage.n_there
+        gone = f", {stage.n_removed} of other settings removed" if stage.n_removed else ""
+        typer.echo(f"{stage.stage}: {stage.n_linked} linked, {stage.n_there} in place, {left} to make{gone}")
+    if config.observation.kind == "simulated" and not stages[0].complete:
+        typer.echo(
+            "The simulated observation is made anew, with other content. To keep the image set "
+            f"observation: {{kind: artifact, artifact: {base / 'observation.h5'}}}"
+        )
+    typer.echo(f"now run: {snakemake_command(configfile or [])}")
+
+
+@app.command()
+def systematics(
+    config: Annotated[Path, typer.Option(help="Base campaign and variants.")] = Path(
+        "workflow/configs/systematics.yaml"
+    ),
+    configfile: ConfigFiles = None,
+    cores: Annotated[int, typer.Option(help="For Snakemake.")] = 2,
+) -> None:
+    """Run variants of a campaign on the same observation, and tell how the bound and the scan move.
+
+    With --configfile they are variants of this campaign, not of the one that the file names, and go to
+    RESULTS_systematics.
+    """
+    from warmlens.systematics.run import run
+
+    run(config, cores, configfile or ())
+
+
+@app.command()
+def validate(configfile: ConfigFiles = None) -> None:
+    """Check config.yaml, overlays and the images that they name: one line per problem."""
+    config = _load(configfile)
+    from warmlens.campaign.files import chunks, shards
+    from warmlens.campaign.preflight import check_observation
+
+    for line in check_observation(config):
+        typer.echo(line)
+    typer.echo(
+        f"valid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
+        f"{len(shards(config))} shards of the scan operator, results in {config.results}"
+    )
+
+
+@app.command()
+def params(
+    stage: Annotated[str, typer.Argument(help="Name of the stage.")], configfile: ConfigFiles = None
+) -> None:
+    """Print the settings that the workflow hands to a stage, for running it by hand."""
+    from warmlens.artifacts.file import canonical_json
+    from warmlens.campaign.settings import stage_settings
+
+    typer.echo(canonical_json(stage_settings(_load(configfile), stage).as_dict()))
+
+
+@app.command()
+def config_reference(output: Output) -> None:
+    """Write docs/configuration.md from the types of the configuration and the comments in config.yaml."""
+    from warmlens.artifacts.file import atomic_path
+    from warmlens.config.reference import reference
+
+    with atomic_path(output) as temporary:
+        temporary.write_text(reference(Path("config.yaml").read_text()))
+
+
+app.add_typer(stages.app)
+
+
+def _load(overlays: list[Path] | None) -> Config:
+    from warmlens.config.file import load_config
+
+    return load_config([Path("config.yaml"), *(overlays or [])])
+
+
+def main() -> None:
+    """Run the command line; errors of the user or of an input end with a message, not with a traceback."""
+    runtime.prepare()  # before anything numerical is imported
+    from warmlens.artifacts.file import ArtifactError
+    from warmlens.campaign.locks import LockedError
+    from warmlens.config.file import ConfigError
+
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S")
+    try:
+        app()
+    except (ConfigError, ArtifactError, LockedError) as error:
+        sys.exit(f"warmlens: {error}")
+    except ValueError as error:
+        logging.exception("where it happened")
+        sys.exit(f"warmlens: {error}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""What a user may write into a configuration, and how it is read."""

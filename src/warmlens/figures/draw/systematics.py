@@ -1,0 +1,120 @@
+"""How bound and scan move when one thing of a campaign is changed; one line a variant."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Protocol
+
+from matplotlib.axes import Axes
+from matplotlib.ticker import AutoMinorLocator
+
+from warmlens.figures.draw.posterior import COLOUR, EXCLUDED, MASS_LABEL
+
+FAINT = "0.45"
+
+
+class Variant(Protocol):
+    """What is drawn of one variant; numbers that it does not have are None."""
+
+    @property
+    def name(self) -> str:
+        """Shown at its line."""
+
+    @property
+    def group(self) -> str:
+        """Variants of one group stand together under its name."""
+
+    @property
+    def state(self) -> str:
+        """`failed` is said in place of a bound."""
+
+    @property
+    def bound_kev(self) -> float | None:
+        """Lower bound on the relic mass [keV]."""
+
+    @property
+    def mc_error_kev(self) -> float | None:
+        """Its Monte-Carlo error [keV]."""
+
+    @property
+    def prior_only_kev(self) -> float | None:
+        """What the prior alone gives [keV]."""
+
+    @property
+    def n_below(self) -> int | None:
+        """Positions of the observation's scan below the threshold."""
+
+    @property
+    def null_n_below(self) -> float | None:
+        """Median of the same in the variant's mocks without substructure."""
+
+
+def line_heights(groups: Sequence[str]) -> list[float]:
+    """Height of every variant's line, downwards from 0; a group is set off by one line for its name."""
+    heights: list[float] = []
+    level = 0.0
+    for i, group in enumerate(groups):
+        level -= 2.0 if i and group != groups[i - 1] else 1.0
+        heights.append(level)
+    return heights
+
+
+def draw_bounds(ax: Axes, rows: Sequence[Variant]) -> None:
+    """Bound with its Monte-Carlo error, and the bound of the prior alone; the band is the first row's.
+
+    Parameters
+    ----------
+    ax
+        Where to draw.
+    rows
+        Variants; the first one is the base, members of a group are neighbours.
+    """
+    heights = line_heights([row.group for row in rows])
+    base = rows[0]
+    if base.bound_kev is not None and base.mc_error_kev is not None:
+        low, high = base.bound_kev - base.mc_error_kev, base.bound_kev + base.mc_error_kev
+        ax.axvspan(low, high, color=COLOUR, alpha=0.12, lw=0)
+    for row, height in zip(rows, heights, strict=True):
+        if row.bound_kev is not None:
+            ax.errorbar(row.bound_kev, height, xerr=row.mc_error_kev, fmt="o", ms=4, color=COLOUR, capsize=2)
+        else:
+            note = "failed" if row.state == "failed" else "scan only"
+            ax.annotate(note, (0.98, height), xycoords=("axes fraction", "data"), ha="right", va="center",
+                        fontsize=8, color=EXCLUDED if note == "failed" else FAINT)  # fmt: skip
+        if row.prior_only_kev is not None:
+            ax.plot(row.prior_only_kev, height, marker="|", ms=9, mew=1.4, color="black", ls="none")
+    ax.plot([], [], marker="o", ms=4, color=COLOUR, ls="none", label="bound, MC error")
+    ax.plot([], [], marker="|", ms=9, mew=1.4, color="black", ls="none", label="prior alone")
+    ax.set_yticks(heights, [row.name for row in rows])
+    ax.tick_params(axis="y", which="both", length=0)
+    ax.yaxis.set_minor_locator(AutoMinorLocator(1))
+    previous = base.group
+    for row, height in zip(rows, heights, strict=True):
+        if row.group != previous:
+            ax.annotate(row.group, (0.01, height + 0.9), xycoords=("axes fraction", "data"), va="center",
+                        fontsize=8, style="italic", color=FAINT)  # fmt: skip
+        previous = row.group
+    ax.set_ylim(heights[-1] - 0.7, heights[0] + 0.7)
+    ax.xaxis.set_minor_locator(AutoMinorLocator())
+    ax.set_xlabel(f"lower bound on {MASS_LABEL}")
+    ax.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handletextpad=0.4)
+
+
+def draw_scans(ax: Axes, rows: Sequence[Variant]) -> None:
+    """Positions of the observation's scan where a perturber improves the fit; lines as in `draw_bounds`.
+
+    Beside it what mocks without substructure have: what exceeds them is misfit or substructure.
+    """
+    heights = line_heights([row.group for row in rows])
+    known = [(row.n_below, height) for row, height in zip(rows, heights, strict=True) if row.n_below is not None]
+    null = [(row.null_n_below, h) for row, h in zip(rows, heights, strict=True) if row.null_n_below is not None]
+    if rows[0].n_below is not None:
+        ax.axvline(rows[0].n_below, color=COLOUR, alpha=0.4, lw=1.0)
+    ax.plot([n for n, _ in known], [height for _, height in known], "o", ms=4, color=COLOUR, label="observation")
+    if null:
+        n_below, level = zip(*null, strict=True)
+        ax.plot(n_below, level, marker="|", ms=9, mew=1.4, color="black", ls="none", label="null mocks")
+        ax.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handletextpad=0.4)
+    ax.set_xlim(0.0, 1.1 * max([n for n, _ in (*known, *null)], default=1) or 1.0)
+    ax.tick_params(axis="y", which="both", length=0)
+    ax.set_xlabel(r"positions of the scan below the threshold")

@@ -1,0 +1,180 @@
+"""Opening FITS files, which may be damaged, of any size, or made to be read by mistake."""
+
+from __future__ import annotations
+
+import gzip
+import math
+import os
+import re
+import warnings
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+from astropy.io import fits
+from astropy.wcs import WCS, FITSFixedWarning
+
+from warmlens.types import FloatArray
+
+_BLOCK = 2880  # bytes; headers and data fill whole blocks
+_MAX_HEADER_BLOCKS = 1000
+_MAX_UNIT_BYTES = 2**29
+_MAX_AXES, _MAX_COLUMNS = 9, 999
+_GZIP = b"\x1f\x8b"
+# What says how large things are, however it is written, and as it must be written.
+_STRUCTURE = re.compile(rb"\s*(HIERARCH\s+)?(BITPIX|NAXIS\d*|PCOUNT|GCOUNT|TFIELDS)\b", re.IGNORECASE)
+_STRUCTURE_CARD = re.compile(rb"(BITPIX|NAXIS\d{0,3}|PCOUNT|GCOUNT|TFIELDS) *= +(-?\d{1,18}) *(/.*)?", re.DOTALL)
+_PIXEL_ARCSEC = (1e-4, 60.0)
+_BITPIX = (8, 16, 32, 64, -32, -64)
+# All that is kept of a header. The linear part of a WCS is enough for the scale and the orientation.
+_KEPT = re.compile(
+    r"BUNIT|EXPTIME|BKGRMS|RADESYS|EQUINOX|WCSAXES|(CTYPE|CUNIT|CRVAL|CRPIX|CDELT|CROTA)[12]|(CD|PC)[12]_[12]"
+)
+_DISTORTION = re.compile(r"[AB]_ORDER|CPDIS[12]|D2IMDIS[12]|DET2IM[12]")
+
+
+class _UnsuitableError(ValueError):
+    """A readable file that is not what is needed."""
+
+
+def read_image(path: Path, extension: int, max_side: int) -> tuple[FloatArray, fits.Header]:
+    """Read the image [y, x] of one extension, at most `max_side` pixels on a side, and the header that is used.
+
+    Raises
+    ------
+    ValueError
+        Naming the file, what was found, what was expected and what to do.
+    """
+    if not os.path.exists(path):  # noqa: PTH110 (a path that the system refuses is no file either)
+        raise ValueError(f"{path}: no such file; correct the path under observation.fits")
+    if not path.is_file():
+        raise ValueError(f"{path}: not a file; correct the path under observation.fits")
+    try:
+        _check_structure(path, extension, max_side)
+        with warnings.catch_warnings(), np.errstate(all="ignore"):
+            warnings.simplefilter("ignore")
+            warnings.filterwarnings("error", message="File may have been truncated")
+            # a compressed image is a table then: what its tiles inflate to would be known only afterwards
+            with fits.open(path, memmap=False, disable_image_compression=True) as hdus:
+                hdu = hdus[extension]
+                if not isinstance(hdu, fits.PrimaryHDU | fits.ImageHDU):
+                    raise _unfit(extension, "a table (a compressed image must be unpacked, with funpack)")
+                return np.array(hdu.data, dtype=np.float64), _kept_header(hdu.header, hdus[0].header)
+    except _UnsuitableError as error:
+        raise ValueError(f"{path}: {error}") from None
+    except MemoryError:
+        raise
+    except Exception as error:  # astropy raises whatever its parsing stumbles over
+        reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
+        raise ValueError(f"{path}: not a readable FITS file, or truncated ({reason})") from error
+
+
+def _check_structure(path: Path, extension: int, max_side: int) -> None:
+    """Check the sizes in all headers up to that extension: astropy loops over them and makes room for them."""
+    with path.open("rb") as packed:
+        start = packed.read(6)
+        packed.seek(0)
+        if start != b"SIMPLE" and start[:2] != _GZIP:
+            raise ValueError("it begins with neither SIMPLE nor a gzip header")
+        handle: IO[bytes] = gzip.GzipFile(fileobj=packed) if start[:2] == _GZIP else packed  # type: ignore[assignment]
+        for number in range(extension + 1):
+            shape, n_bytes = _unit(handle)
+            if shape is None:
+                raise _UnsuitableError(
+                    f"has {number} extensions, extension {extension} was asked for; "
+                    "set observation.fits.BAND.extension"
+                )
+            handle.seek(-(-n_bytes // _BLOCK) * _BLOCK, 1)
+    assert shape is not None
+    if not shape or min(shape) < 1:
+        raise _unfit(extension, "no data")
+    if len(shape) != 2:
+        raise _unfit(extension, f"{len(shape)} dimensions")
+    if max(shape) > max_side:
+        raise _UnsuitableError(
+            f"{shape[0]} x {shape[1]} pixels, at most {max_side} on a side are read; cut out the lens"
+        )
+
+
+def _unit(handle: IO[bytes]) -> tuple[tuple[int, ...] | None, int]:
+    """Axes (x first) and bytes of the data of the header that begins here; no axes at the end of the file."""
+    sizes: dict[str, int] = {}
+    for number in range(_MAX_HEADER_BLOCKS):
+        block = handle.read(_BLOCK)
+        if not block and not number:
+            return None, 0
+        for card in (block[i : i + 80] for i in range(0, len(block), 80)):
+            if card.rstrip() == b"END":
+                return _axes_and_bytes(sizes)
+            if _STRUCTURE.match(card):
+                found = _STRUCTURE_CARD.fullmatch(card)
+                if found is None:
+                    raise ValueError(f"bad card {card[:40]!r}")
+                sizes.setdefault(found[1].decode(), int(found[2]))
+        if len(block) < _BLOCK:
+            raise ValueError("a header without an end")
+    raise ValueError(f"a header of more than {_MAX_HEADER_BLOCKS} blocks")
+
+
+def _axes_and_bytes(sizes: dict[str, int]) -> tuple[tuple[int, ...], int]:
+    n_axes = sizes.get("NAXIS", -1)
+    if not (0 <= n_axes <= _MAX_AXES and 0 <= sizes.get("TFIELDS", 0) <= _MAX_COLUMNS):
+        raise ValueError(f"NAXIS {n_axes}, TFIELDS {sizes.get('TFIELDS', 0)}")
+    axes = tuple(sizes.get(f"NAXIS{i}", -1) for i in range(1, n_axes + 1))
+    groups, extra, bits = sizes.get("GCOUNT", 1), sizes.get("PCOUNT", 0), sizes.get("BITPIX")
+    if min(*axes, groups, extra) < 0 or bits not in _BITPIX:
+        raise ValueError(f"BITPIX {bits}, axes {axes}, PCOUNT {extra}, GCOUNT {groups}")
+    n_bytes = abs(bits) // 8 * groups * (extra + math.prod(axes)) if axes else 0
+    if n_bytes > _MAX_UNIT_BYTES:
+        raise ValueError(f"{n_bytes} bytes declared, at most {_MAX_UNIT_BYTES} are read; cut out the lens")
+    return axes, n_bytes
+
+
+def _unfit(extension: int, found: str) -> _UnsuitableError:
+    return _UnsuitableError(
+        f"extension {extension} holds {found}, expected an image [y, x]; for the science image set "
+        "observation.fits.BAND.extension, write any other image to a file's first extension"
+    )
+
+
+def _kept_header(header: fits.Header, primary: fits.Header) -> fits.Header:
+    kept = fits.Header()
+    for keyword in header:
+        if _KEPT.fullmatch(keyword) or _DISTORTION.fullmatch(keyword):
+            kept[keyword] = header[keyword]
+    if "EXPTIME" not in kept and "EXPTIME" in primary:  # as in drizzled HST images
+        kept["EXPTIME"] = primary["EXPTIME"]
+    return kept
+
+
+def sky_steps(path: Path, header: fits.Header) -> tuple[FloatArray, tuple[float, float]]:
+    """Sky step (x West, y North) [arcsec] of a column and of a row as a 2x2 matrix, and CRPIX from 0.
+
+    Raises
+    ------
+    ValueError
+        If the header has no celestial WCS, a singular one, or one with distortion.
+    """
+    instead = "set observation.fits.BAND.pixel_scale_arcsec and center_pixel"
+    if any(_DISTORTION.fullmatch(keyword) for keyword in header):
+        raise ValueError(f"{path}: its WCS has distortion; resample the image (drizzle), or {instead}")
+    if not header.get("WCSAXES", 2) == 2:
+        raise ValueError(f"{path}: its WCS has {header['WCSAXES']} axes, expected 2; {instead}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", FITSFixedWarning)
+            wcs = WCS(header)
+        celestial = wcs.celestial if wcs.has_celestial else None
+        east_north = None if celestial is None else celestial.pixel_scale_matrix * 3600.0
+    except MemoryError:
+        raise
+    except Exception as error:  # wcslib's errors are of many classes
+        reason = " ".join(str(error).split())[:300]
+        raise ValueError(f"{path}: its WCS cannot be used ({reason}); {instead}") from error
+    if celestial is None or east_north is None:
+        raise ValueError(f"{path}: no celestial WCS; {instead}")
+    sides = np.hypot(*east_north)
+    if not all(_PIXEL_ARCSEC[0] <= side <= _PIXEL_ARCSEC[1] for side in sides):
+        raise ValueError(f"{path}: its WCS gives pixels of {sides[0]:g} x {sides[1]:g} arcsec; {instead}")
+    column, row = celestial.wcs.crpix - 1.0
+    return np.array([[-1.0], [1.0]]) * east_north, (float(column), float(row))

@@ -1,0 +1,1 @@
+"""What lies in each artifact, written and read in one place."""

@@ -1,0 +1,1 @@
+"""Stage `abc`: acceptance, bound and calibration."""

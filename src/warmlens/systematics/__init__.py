@@ -1,0 +1,1 @@
+"""Variants of a campaign on one observation, and how bound and scan move."""

@@ -1,0 +1,212 @@
+"""`warmlens systematics`: one change a campaign, on the same observation, and how bound and scan move with it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import ValidationError
+from rich.console import Console
+from rich.markup import escape
+
+from warmlens.artifacts.chain import audit
+from warmlens.artifacts.file import ArtifactError, atomic_path
+from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.branch import StageBranch, branch
+from warmlens.campaign.files import stage_files
+from warmlens.campaign.run import lift_abandoned_lock
+from warmlens.campaign.settings import campaign_stages, stage_digests
+from warmlens.campaign.snakemake import SNAKEMAKE, arguments
+from warmlens.config.file import ConfigError, load_config, merge
+from warmlens.config.model import Config
+from warmlens.config.types import Block, Name, ResultsFolder
+from warmlens.config.yaml import read_yaml
+from warmlens.systematics.table import (
+    NAME,
+    Row,
+    draw_table,
+    failed_row,
+    print_table,
+    prior_rows,
+    read_row,
+    write_table,
+)
+from warmlens.text import duration
+
+CONFIG = Path("config.yaml")
+OVERLAY, LOG = "overlay.yaml", "systematics.log"
+BASE = "base"
+
+
+class VariantBlock(Block):
+    """One change of the base campaign."""
+
+    group: str
+    description: str
+    overlay: dict[str, Any]
+    bound: bool = True
+
+
+class SystematicsBlock(Block):
+    """The base campaign and its variants."""
+
+    base: list[str]
+    results: ResultsFolder
+    variants: dict[Name, VariantBlock]
+
+
+def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> list[Row]:
+    """Run the base campaign and every variant, as far as they are not finished; write table and figure.
+
+    Parameters
+    ----------
+    path
+        YAML file with a `SystematicsBlock`.
+    cores
+        For Snakemake.
+    base_overlays
+        Make the base campaign in place of those that the file names; table and variants then go to a folder
+        beside its results.
+
+    Returns
+    -------
+    list of Row
+        Base, variants in their order, other halo-mass priors; a variant that failed has its reason.
+
+    Raises
+    ------
+    ConfigError
+        With one line per problem, before anything is run.
+    ArtifactError
+        If the base campaign fails, or its artifacts are not what they should be.
+    """
+    console = Console(highlight=False, soft_wrap=True)
+    block = read_systematics(path)
+    layers = [CONFIG, *(base_overlays or (Path(name) for name in block.base))]
+    base = load_config(layers)
+    if base_overlays:
+        block = block.model_copy(update={"results": f"{base.results}_{NAME}"})
+    overlays = write_overlays(block, base)
+    configs = _load_variants(layers, overlays)
+    started = time.monotonic()
+    console.print(f"base campaign: {base.results}")
+    reason = _snakemake(base, layers[1:], "abc", cores, Path(block.results) / f"{BASE}.log")
+    if reason:
+        raise ArtifactError(f"the base campaign {base.results} failed: {reason}")
+    rows = [read_row(BASE, BASE, "the campaign that the others differ from", base, None, bound=True)]
+    for number, (name, variant) in enumerate(block.variants.items(), start=1):
+        elapsed = duration(time.monotonic() - started)
+        console.print(f"[bold]variant {number} of {len(block.variants)}: {name}[/], {elapsed} so far")
+        row = _run_variant(name, variant, configs[name], base, [*layers[1:], overlays[name]], cores, console)
+        rows.append(row)
+        write_table(Path(block.results), [*rows, *prior_rows(base)])
+    rows += prior_rows(base)
+    write_table(Path(block.results), rows)
+    draw_table(Path(block.results), rows)
+    console.print(f"{len(block.variants)} variants in {duration(time.monotonic() - started)}")
+    print_table(rows, console)
+    console.print(f"table and figure: {Path(block.results) / NAME}.csv, .json, .png")
+    return rows
+
+
+def read_systematics(path: Path) -> SystematicsBlock:
+    """Read and check the file of variants."""
+    try:
+        return SystematicsBlock.model_validate(read_yaml(path))
+    except ValidationError as error:
+        lines = [f"{path}: {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
+        raise ConfigError(lines) from None
+
+
+def write_overlays(block: SystematicsBlock, base: Config) -> dict[str, Path]:
+    """Write each variant's overlay with a results folder of its own and the base's observation."""
+    observed = {"kind": "artifact", "artifact": str(Path(base.results) / SINGLE["observation"])}
+    paths = {}
+    for name, variant in block.variants.items():
+        folder = Path(block.results) / name
+        paths[name] = folder / OVERLAY
+        layer = merge(variant.overlay, {"results": str(folder), "observation": observed})
+        with atomic_path(paths[name]) as temporary:
+            temporary.write_text(yaml.safe_dump(layer, sort_keys=False))
+    return paths
+
+
+def _load_variants(layers: Sequence[Path], overlays: Mapping[str, Path]) -> dict[str, Config]:
+    configs, problems = {}, []
+    for name, overlay in overlays.items():
+        try:
+            configs[name] = load_config([*layers, overlay])
+        except ConfigError as error:
+            problems += [f"variant {name}: {problem}" for problem in error.problems]
+    if problems:
+        raise ConfigError(problems)
+    return configs
+
+
+def _run_variant(
+    name: str,
+    variant: VariantBlock,
+    config: Config,
+    base: Config,
+    overlays: Sequence[Path],
+    cores: int,
+    console: Console,
+) -> Row:
+    started = time.monotonic()
+    last = "abc" if variant.bound else "observed_summary"
+    try:
+        _report(branch(Path(base.results), config), last, console)
+        reason = _snakemake(config, overlays, last, cores, Path(config.results) / LOG) or _audit(config, last)
+    except ArtifactError as error:
+        reason = str(error)
+    if reason:
+        console.print(f"  [bold red]failed[/] after {duration(time.monotonic() - started)}: {escape(reason)}")
+        return failed_row(name, variant.group, variant.description, config, base, reason)
+    console.print(f"  done in {duration(time.monotonic() - started)}")
+    return read_row(name, variant.group, variant.description, config, base, bound=variant.bound)
+
+
+def _report(stages: Sequence[StageBranch], last: str, console: Console) -> None:
+    names = [stage.stage for stage in stages]
+    wanted = stages[: names.index(last) + 1] if last in names else stages
+    there, n_files = (
+        sum(stage.n_linked + stage.n_there for stage in wanted),
+        sum(stage.n_files for stage in wanted),
+    )
+    left = [stage.stage for stage in wanted if not stage.complete]
+    console.print(
+        f"  {there} of {n_files} artifacts are there" + (f"; to make: {', '.join(left)}" if left else "")
+    )
+
+
+def _snakemake(config: Config, overlays: Sequence[Path], stage: str, cores: int, log: Path) -> str:
+    """Run the workflow up to a stage; its output goes to `log`. Why it failed, empty if it did not."""
+    target = str(stage_files(config, stage)[0])
+    lift_abandoned_lock(Path(), overlays)
+    command = [SNAKEMAKE, *arguments(cores, overlays, [target])]
+    log.parent.mkdir(parents=True, exist_ok=True)
+    with log.open("w") as handle:
+        done = subprocess.run(command, stdout=handle, stderr=subprocess.STDOUT, check=False)
+    return "" if done.returncode == 0 else last_words(log)
+
+
+def last_words(log: Path) -> str:
+    """What a failed run says last, in the words of the stage that failed if there are any."""
+    text = re.sub(r"\x1b\[[0-9;]*m", "", log.read_text(errors="replace"))
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    own = [line.partition("warmlens: ")[2] for line in lines if line.startswith("warmlens: ")]
+    return own[-1] if own else f"{lines[-1] if lines else 'Snakemake said nothing'} (see {log})"
+
+
+def _audit(config: Config, last: str) -> str:
+    """The first thing that is wrong with the finished artifacts, empty if all is well."""
+    stages = campaign_stages(config)
+    wanted = stages if last == stages[-1] else stages[: stages.index(last) + 1]
+    files = {path: stage for stage in wanted for path in stage_files(config, stage)}
+    findings = audit(files, stage_digests(config))
+    return f"audit: {findings[0].path}: {findings[0].problem}" if findings else ""

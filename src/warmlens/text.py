@@ -1,0 +1,110 @@
+"""Numbers as text, the same in the terminal and on the pages."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any
+
+_PRIORS = {
+    "uniform_m": "uniform in m_TH",
+    "uniform_log_m": "uniform in log m_TH",
+    "uniform_inverse_m": "uniform in 1 / m_TH",
+    "uniform_log_half_mode_mass": "uniform in the log of the half-mode mass",
+}
+_SUMMARIES = {
+    "correlation": "C(dr)",
+    "cumulative": "cumulative distribution of ΔR",
+    "correlation_at_0": "C(dr) at dr = 0",
+    "chi2": "χ² of the smooth fit",
+    "counts": "counts of positions, and χ²",
+    "response": "linear response",
+    "mean_z2": "mean square significance of the amplitude",
+    "amplitude_correlation": "correlation of the amplitude",
+    "learned_m": "learned summary of m_TH",
+    "learned_mass": "learned summary of M_h",
+}
+_NUMBER = r"(-?[\d.]+)"
+_ARCSEC = ("theta_E", "center_x", "center_y", "ra_0", "dec_0", "R_sersic", "beta", "x", "y")
+
+
+def number(value: float | None, digits: int = 2) -> str:
+    """A number with fixed decimals; "none" for what is not known."""
+    return "none" if value is None or math.isnan(value) else f"{value:.{digits}f}"
+
+
+def pair(value: float, error: float | None, digits: int = 2) -> str:
+    """A value and its error, if there is one."""
+    return number(value, digits) if error is None else f"{number(value, digits)} +- {number(error, digits)}"
+
+
+def error_pair(value: float, error: float) -> str:
+    """A value and its error, both with the decimals that show two digits of the error."""
+    if not 0.0 < error < math.inf:
+        return f"{value:.6g}"
+    return pair(value, error, max(0, 1 - math.floor(math.log10(error))))
+
+
+def confidence(bound: Mapping[str, Any]) -> str:
+    """One-sided credibility of a lower bound that is the `level` quantile of the posterior."""
+    return f"{100.0 * (1.0 - bound['level']):.6g}%"
+
+
+def percent(fraction: float, digits: int = 1) -> str:
+    """A fraction in per cent."""
+    return f"{100.0 * fraction:.{digits}f}%"
+
+
+def crossing(found: Mapping[str, Any]) -> str:
+    """Relic mass at which the likelihood ratio has fallen to a value."""
+    if found["m_kev"] is None:
+        return "not within the prior"
+    return f"{pair(found['m_kev'], found['mc_error_kev'])} keV"
+
+
+def own_notes(bound: Mapping[str, Any], headline: Mapping[str, Any]) -> list[str]:
+    """Warnings of a bound that the headline has not."""
+    known = set(headline["warnings"])
+    return [text for text in bound["warnings"] if text not in known and not text.startswith("indistinguish")]
+
+
+def prior_name(name: str) -> str:
+    """What the other priors of abc.json are, in words."""
+    if found := re.fullmatch(f"flat_{_NUMBER}_{_NUMBER}", name):
+        return f"log₁₀ M_h uniform from {found[1]} to {found[2]}"
+    if found := re.fullmatch(f"normal_{_NUMBER}_{_NUMBER}", name):
+        return f"log₁₀ M_h normal, {found[1]} +- {found[2]}"
+    return _PRIORS.get(name, name)
+
+
+def summary_name(name: str) -> str:
+    """What the summaries of abc.json are, in words."""
+    if found := re.fullmatch(f"positions_below_{_NUMBER}", name):
+        return f"positions with ΔR below {found[1].replace('-', '−')}"
+    return _SUMMARIES.get(name, name)
+
+
+def parameter_unit(name: str) -> str:
+    """Unit of a parameter of the smooth model such as lens_0.theta_E; "" for pure numbers."""
+    return "arcsec" if name.rpartition(".")[2] in _ARCSEC else ""
+
+
+def duration(seconds: float) -> str:
+    """Seconds, minutes or hours, whole ones."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02d} min"
+    return f"{minutes} min {rest:02d} s" if minutes else f"{rest} s"
+
+
+CITATION = {
+    "authors": "S. Birrer, A. Amara & A. Refregier",
+    "year": "2017",
+    "title": "Lensing substructure quantification in RXJ1131-1231: a 2 keV lower bound on dark matter thermal "
+    "relic mass",
+    "journal": "JCAP 05, 037",
+    "doi": "10.1088/1475-7516/2017/05/037",
+    "arxiv": "1702.00009",
+}

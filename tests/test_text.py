@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from warmlens import text
+
+
+def test_numbers_and_pairs() -> None:
+    assert text.number(1.2345) == "1.23"
+    assert text.number(None) == text.number(math.nan) == "none"
+    assert text.pair(1.2, 0.05) == "1.20 +- 0.05"
+    assert text.pair(1.2, None) == "1.20"
+    assert text.percent(0.0455, 2) == "4.55%"
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "expected"),
+    [
+        (1.634217, 0.0141, "1.634 +- 0.014"),
+        (-2.03704747, 3.009e-5, "-2.037047 +- 0.000030"),
+        (13.4, 250.0, "13 +- 250"),
+        (1.957, 0.0, "1.957"),
+        (1.957, math.nan, "1.957"),
+    ],
+)
+def test_decimals_follow_the_error(value: float, error: float, expected: str) -> None:
+    assert text.error_pair(value, error) == expected
+
+
+def test_confidence_is_one_sided() -> None:
+    assert [text.confidence({"level": level}) for level in (0.05, 0.0455, 0.02275)] == ["95%", "95.45%", "97.725%"]
+
+
+def test_crossing() -> None:
+    assert text.crossing({"m_kev": None, "mc_error_kev": None}) == "not within the prior"
+    assert text.crossing({"m_kev": 2.0, "mc_error_kev": 0.1}) == "2.00 +- 0.10 keV"
+    assert text.crossing({"m_kev": 2.0, "mc_error_kev": None}) == "2.00 keV"
+
+
+def test_notes_leave_out_what_the_headline_says() -> None:
+    headline = {"warnings": ["few"]}
+    bound = {"warnings": ["few", "indistinguishable from the prior: 1 against 1", "cut off"]}
+    assert text.own_notes(bound, headline) == ["cut off"]
+
+
+def test_names_in_words() -> None:
+    assert text.prior_name("flat_13_13.5") == "log₁₀ M_h uniform from 13 to 13.5"
+    assert text.prior_name("normal_13.36_0.14") == "log₁₀ M_h normal, 13.36 +- 0.14"
+    assert text.prior_name("uniform_inverse_m") == "uniform in 1 / m_TH"
+    assert text.prior_name("another") == "another"
+    assert text.summary_name("positions_below_-10") == "positions with ΔR below −10"
+    assert text.summary_name("another") == "another"
+
+
+def test_units_of_the_smooth_model() -> None:
+    arcsec = ("lens_0.theta_E", "light_1.R_sersic", "quasar_2.x", "source_0.beta", "lens_1.ra_0")
+    assert {text.parameter_unit(name) for name in arcsec} == {"arcsec"}
+    assert {text.parameter_unit(name) for name in ("lens_0.e1", "light_0.n_sersic", "lens_3.coeffs_2")} == {""}
+
+
+def test_durations() -> None:
+    assert [text.duration(seconds) for seconds in (0.4, 69.0, 3600.0, 36061.0)] == [
+        "0 s",
+        "1 min 09 s",
+        "1 h 00 min",
+        "10 h 01 min",
+    ]
