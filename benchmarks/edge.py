@@ -24,16 +24,14 @@ from rich.table import Table
 
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.artifacts.names import SINGLE
-from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import stage_settings
+from warmlens.campaign.files import campaign_job
 from warmlens.campaign.status import read_campaign
 from warmlens.products.observation import read_observation
 from warmlens.products.smooth_model import read_smooth_model, scan_band
 from warmlens.sampling import stream
 from warmlens.stages.mocks import noise_free_image
 from warmlens.stages.observation import true_image
-from warmlens.stages.scans import Scanner
-from warmlens.stages.settings import ScanSettings
+from warmlens.stages.scanner import Scanner
 from warmlens.summaries.correlation import excess_residuals
 from warmlens.summaries.cumulative import counts_below
 from warmlens.summaries.response import mean_square_significance
@@ -85,12 +83,7 @@ def images(results: Path, n_draws: int) -> dict[str, FloatArray]:
 def scan(results: Path, by_band: dict[str, FloatArray]) -> Maps:
     """Scan images with the operator of the campaign."""
     config = read_campaign(results)
-    settings = stage_settings(config, "scans")
-    assert isinstance(settings, ScanSettings)
-    observation, model, design = (
-        results / SINGLE[name] for name in ("observation", "smooth_model", "scan_design")
-    )
-    scanner = Scanner(settings, observation, model, design, stage_files(config, "scan_operator"))
+    scanner = Scanner(campaign_job(config, "observed_scan"))
     none = np.empty(0, dtype=np.int64)
     scans = [scanner.scan(name, data, none) for name, data in by_band.items()]
     responses = [item.response for item in scans if item.response is not None]

@@ -13,14 +13,12 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 from lenstronomy.LensModel.lens_model import LensModel
 from rich.console import Console
 from rich.table import Table
 
-from warmlens.campaign.settings import stage_settings
 from warmlens.config.file import load_config
 from warmlens.cosmology import Cosmology, LensGeometry
 from warmlens.fitting.lens_fit import fit_lens
@@ -34,8 +32,8 @@ from warmlens.lensing.deflection import tnfw_angular_scales, tnfw_deflection
 from warmlens.lensing.high_pass import margin_pixels
 from warmlens.lensing.substructure import filtered_deflection
 from warmlens.products.observation import read_observation
-from warmlens.stages import observation
-from warmlens.stages.settings import ObservationSettings
+from warmlens.stage_table import stage_settings
+from warmlens.stages.job import make_job, run_job
 from warmlens.types import FloatArray
 
 ROOT = Path(__file__).parents[1]
@@ -143,7 +141,7 @@ def fit_minutes() -> dict[str, float]:
     config = load_config([ROOT / "config.yaml"])
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "observation.h5"
-        observation.run(cast(ObservationSettings, stage_settings(config, "observation")), path)
+        run_job(make_job("observation", stage_settings(config, "observation"), path))
         observed = read_observation(path)
     start = time.perf_counter()
     fitted = fit_lens(config.smooth_model, observed)

@@ -25,7 +25,7 @@ from rich.table import Table as Printed
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import SINGLE
-from warmlens.campaign.files import stage_files
+from warmlens.campaign.files import campaign_job, stage_files
 from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config
 from warmlens.inference.calibration import leave_one_out
@@ -34,10 +34,9 @@ from warmlens.inference.learned import learned_summaries
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE
 from warmlens.inference.table import Table
 from warmlens.products.observation import read_observation
-from warmlens.products.samples import OK
 from warmlens.sampling import stream
-from warmlens.stages.abc.tables import read_summaries, read_table
-from warmlens.types import BoolArray, FloatArray
+from warmlens.stages.abc.tables import read_samples
+from warmlens.types import FloatArray
 
 mpl.use("agg")
 
@@ -102,19 +101,16 @@ def deflection_numbers(config: Config, pixel_scale: float) -> Iterator[FloatArra
 def rungs(config: Config) -> dict[str, FloatArray]:
     """Numbers of every rung by name, each [n_good, ...], and the good samples' parameters under ""."""
     n = config.campaign.n_samples
-    files = stage_files(config, "summaries")
-    table = read_table(files, n)
-    good: BoolArray = (table["status"] == OK).to_numpy()
-    root = Path(config.results)
-    grid = read_observation(root / SINGLE["observation"]).grid
+    samples = read_samples(campaign_job(config, "abc"))
+    good, seen = samples.good, samples.summaries
+    grid = read_observation(Path(config.results) / SINGLE["observation"]).grid
     counts = np.concatenate(list(halo_numbers(config)))[:n][good]
     power = np.concatenate(list(deflection_numbers(config, grid.pixel_scale)))[:n][good]
-    seen, _ = read_summaries(files, root / SINGLE["observed_summary"], None, good)
 
     def side_by_side(names: tuple[str, ...]) -> FloatArray:
         return np.hstack([seen[name].samples.reshape(int(good.sum()), -1) for name in names if name in seen])
 
-    found = {"": table.loc[good, ["m_th_kev", "log10_m_halo_msun"]].to_numpy()}
+    found = {"": samples.parameters}
     for first, name in ((0, "1e7"), (2, "1e8"), (3, "3e8"), (4, "1e9")):
         found[f"haloes: masses above {name}"] = counts[:, first:]
     found["deflection: rms"] = power[:, -1:]

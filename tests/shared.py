@@ -1,4 +1,4 @@
-"""What the processes of a test run share."""
+"""What several folders of tests use, and what the processes of a test run share."""
 
 from __future__ import annotations
 
@@ -9,6 +9,18 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+
+from warmlens.sampling import Span
+from warmlens.stage_table import StageSettings
+from warmlens.stages.job import make_job, run_job
+
+
+def run_stage(
+    name: str, settings: StageSettings, output: Path, span: Span | None = None, **inputs: Path | list[Path] | None
+) -> None:
+    """Run a stage on inputs by name; None: an input that is not there."""
+    given = {key: path for key, path in inputs.items() if path is not None}
+    run_job(make_job(name, settings, output, given, span))
 
 
 @contextmanager

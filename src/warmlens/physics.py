@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from warmlens.config.model import CosmologyBlock, HalosBlock, RedshiftBlock, ScanBlock
 from warmlens.cosmology import Cosmology, LensGeometry
-from warmlens.halos.lens_halo import (
-    HaloGenerator,
-    HaloModel,
-)
+from warmlens.halos.lens_halo import HaloGenerator, HaloModel
 from warmlens.halos.merger_tree import BRANCHING
 from warmlens.imaging.grid import PixelGrid
-from warmlens.imaging.observation import Observation
 from warmlens.lensing.substructure import SmoothHost, required_half_width
 from warmlens.scan.nested import NestedShapelets
 from warmlens.scan.perturber import Perturber
@@ -22,18 +16,18 @@ _PRESETS = {"paper": ("paper", "nfw_host"), "calibrated": ("jvdb16", "nfw_infall
 
 
 def geometry(cosmology: CosmologyBlock, redshifts: RedshiftBlock) -> tuple[Cosmology, LensGeometry]:
-    """Cosmology and lens geometry of the configuration."""
+    """Return cosmology and lens geometry of the configuration."""
     background = Cosmology(**cosmology.model_dump())
     return background, LensGeometry.from_redshifts(background, redshifts.lens, redshifts.source)
 
 
 def halo_generator(cosmology: CosmologyBlock, redshifts: RedshiftBlock, halos: HalosBlock) -> HaloGenerator:
-    """Generator of halo realizations with the physics of the configuration."""
+    """Return the generator of halo realizations with the physics of the configuration."""
     return HaloGenerator(*geometry(cosmology, redshifts), halo_model(halos))
 
 
 def halo_model(halos: HalosBlock) -> HaloModel:
-    """Physics of the configuration, the preset resolved."""
+    """Return the halo physics of the configuration, its preset resolved."""
     tau_dyn, positions = _PRESETS.get(halos.preset, (halos.tau_dyn, halos.positions))
     physics = halos.model_dump(exclude={"preset", "field_half_width_arcsec", "tau_dyn", "positions", "branching"})
     branching = BRANCHING[halos.branching] if isinstance(halos.branching, str) else halos.branching
@@ -41,14 +35,14 @@ def halo_model(halos: HalosBlock) -> HaloModel:
 
 
 def smooth_host(generator: HaloGenerator, log10_m_halo_msun: float, f_sub: float) -> SmoothHost:
-    """What a halo of M200c holds besides its subhaloes, with the concentration of the host of their positions."""
+    """Return what a halo of M200c holds besides its subhalos; its concentration is that of their positions."""
     m_halo, z_lens = 10.0**log10_m_halo_msun, generator.geometry.z_lens
     concentration = float(generator.population.cold_concentration(m_halo, z_lens))
     return SmoothHost.of_halo(m_halo, concentration, f_sub, generator.cosmology, z_lens)
 
 
 def check_field(half_width_arcsec: float, grid: PixelGrid, filter_arcsec: float) -> None:
-    """Refuse a field of subhaloes that does not reach three filter widths beyond the image."""
+    """Refuse a field of subhalos that does not reach three filter widths beyond the image."""
     needed = required_half_width(grid, filter_arcsec)
     if half_width_arcsec < needed:
         raise ValueError(
@@ -59,19 +53,18 @@ def check_field(half_width_arcsec: float, grid: PixelGrid, filter_arcsec: float)
 
 
 def scan_perturber(block: ScanBlock) -> Perturber:
-    """Perturber of the configuration."""
+    """Return the perturber of the configuration."""
     return Perturber(block.perturber.theta_e_arcsec, block.perturber.r_trunc_arcsec)
 
 
 def scan_nested(block: ScanBlock) -> NestedShapelets | None:
-    """Nested shapelets of the configuration."""
+    """Return the nested shapelets of the configuration, if it has any."""
     nested = block.nested
     return None if nested is None else NestedShapelets(nested.n_max, nested.ridge, nested.beta_range_arcsec)
 
 
-def scan_raster(block: ScanBlock, observed: Observation) -> Raster:
-    """Raster of the configuration; without a window, around the pixels that are unmasked in any band."""
-    if block.window_arcsec is not None:
-        return Raster(*block.window_arcsec, block.step_arcsec, block.center)
-    mask = np.logical_or.reduce([band.mask for band in observed.bands])
-    return Raster.around(mask, observed.grid, block.step_arcsec)
+def scan_raster(block: ScanBlock) -> Raster:
+    """Return the raster of the configuration, whose window `resolve_window` has set."""
+    if block.window_arcsec is None:
+        raise ValueError("scan.window_arcsec is null: resolve_window() sets it from the masks of the images")
+    return Raster(*block.window_arcsec, block.step_arcsec, block.center)

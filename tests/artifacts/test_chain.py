@@ -13,10 +13,16 @@ from warmlens.artifacts.chain import (
     check_chains,
     examine,
 )
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, settings_digest, write_artifact
+from warmlens.artifacts.file import (
+    ArtifactError,
+    Dataset,
+    Provenance,
+    write_artifact,
+)
 from warmlens.audit.campaign import differences
 from warmlens.audit.report import age
 from warmlens.campaign.records import check_unrecorded
+from warmlens.config.digest import settings_digest
 
 SETTINGS = {"halos": {"a": 1}, "deflections": {"b": 2}, "mocks": {"c": 3}}
 EXPECTED = {stage: settings_digest(settings) for stage, settings in SETTINGS.items()}

@@ -18,10 +18,10 @@ from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_art
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.branch import StageBranch, branch
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import campaign_stages, stage_digests, stage_settings
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
 from warmlens.imaging.grid import PixelGrid
+from warmlens.stage_table import campaign_stages, stage_digests, stage_settings
 
 INPUTS = {  # which stages each is made from
     "smooth_model": ("observation",),

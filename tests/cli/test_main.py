@@ -7,7 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from warmlens.campaign.settings import STAGES
+from warmlens.artifacts.file import open_artifact
+from warmlens.cli.stages import translate
+from warmlens.stage_table import STAGES
 
 ROOT = Path(__file__).parents[2]
 WARMLENS = str(Path(sys.executable).parent / "warmlens")
@@ -17,9 +19,19 @@ def _run(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
     return subprocess.run([WARMLENS, *arguments], cwd=cwd, capture_output=True, text=True, check=False)
 
 
-def test_every_stage_is_a_command() -> None:
-    shown = _run("--help").stdout
-    assert all(stage.replace("_", "-") in shown for stage in STAGES)
+def test_an_unknown_stage_and_missing_inputs_are_named() -> None:
+    unknown = _run("stage", "scan", "--settings", "{}", "--output", "x.h5")
+    assert unknown.returncode == 1
+    assert all(stage in unknown.stderr for stage in STAGES)
+    settings = _run("params", "deflections").stdout
+    missing = _run("stage", "deflections", "--settings", settings, "--output", "x.h5", "--input", "halo=h.h5")
+    assert missing.returncode == 1
+    assert "has no input halo; its inputs are halos, observation" in missing.stderr
+    assert "needs --input observation=FILE of stage observation, got 0" in missing.stderr
+    absent = _run("stage", "halos", "--settings", "absent.json", "--output", "x.h5")
+    assert "absent.json: not readable as JSON" in absent.stderr and "warmlens params halos" in absent.stderr
+    wrong = _run("stage", "halos", "--settings", settings, "--output", "x.h5", "--span", "0", "3")
+    assert "halos: missing" in wrong.stderr
 
 
 def test_validate(tmp_path: Path) -> None:
@@ -37,11 +49,54 @@ def test_validate(tmp_path: Path) -> None:
 def test_a_stage_runs_by_hand(tmp_path: Path) -> None:
     params = _run("params", "halos", "--configfile", "workflow/configs/ci.yaml").stdout
     assert json.loads(params)["halos"]["preset"] == "calibrated"
-    output = tmp_path / "halos.h5"
-    done = _run("halos", "--params", params, "--span", "0", "3", "--output", str(output))
+    (tmp_path / "halos.json").write_text(params)
+    span = ("--span", "0", "3", "--output")
+    done = _run("stage", "halos", "--settings", str(tmp_path / "halos.json"), *span, str(tmp_path / "halos.h5"))
     assert done.returncode == 0, done.stderr
     assert "halos: 3 of 3 samples" in done.stderr
-    assert output.exists()
+    old = _run("halos", "--params", params, *span, str(tmp_path / "old.h5"))  # as version 0.1 called it
+    assert old.returncode == 0, old.stderr
+    assert "`warmlens halos` is now `warmlens stage halos`" in old.stderr
+    with open_artifact(tmp_path / "halos.h5") as new, open_artifact(tmp_path / "old.h5") as before:
+        assert new.digest == before.digest
+
+
+def test_commands_of_stages_as_they_were_are_translated() -> None:
+    words = [
+        "null-scans",
+        "--params",
+        "{}",
+        "--mocks",
+        "m",
+        "--design",
+        "d",
+        "--shard",
+        "a",
+        "--shard",
+        "b",
+        "--output",
+        "o",
+    ]
+    expected = "stage null_scans --settings {} --input mocks=m --input design=d --input shards=a --input shards=b"
+    assert translate(words) == [*expected.split(), "--output", "o"]
+    words = [
+        "abc",
+        "--params",
+        "{}",
+        "--summary",
+        "s",
+        "--null-summaries",
+        "n",
+        "--output",
+        "o",
+        "--table",
+        "t",
+        "--numbers",
+        "j",
+    ]
+    expected = "stage abc --settings {} --input summaries=s --input null_summaries=n --output o"
+    assert translate(words) == expected.split()
+    assert translate(["status", "results/a"]) == ["status", "results/a"]
 
 
 @pytest.mark.parametrize(

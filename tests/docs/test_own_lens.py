@@ -18,12 +18,12 @@ from astropy.io import fits
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.campaign.preflight import check_observation
-from warmlens.campaign.settings import stage_settings
 from warmlens.config.file import load_config
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.products.observation import read_observation
-from warmlens.stages import observation, smooth_model
-from warmlens.stages.settings import ObservationSettings, SmoothModelSettings
+from warmlens.stage_table import ObservationSettings, SmoothModelSettings, stage_settings
+
+from ..shared import run_stage
 
 ROOT = Path(__file__).parents[2]
 BIN = Path(sys.executable).parent
@@ -134,7 +134,7 @@ def test_wrong_orientation_is_seen(
     settings = stage_settings(config, "observation")
     assert isinstance(settings, ObservationSettings)
     observed, model = tmp_path / "observation.h5", tmp_path / "smooth_model.h5"
-    observation.run(settings, observed)
+    run_stage("observation", settings, observed)
     assert quasars_are_bright(observed) != bool(signs)
     true_lens = {"lens_model_list": SIMULATOR["LENS_MODELS"], "kwargs_lens": SIMULATOR["LENS"]}
     light = [{key: value for key, value in SIMULATOR["LIGHT"][0].items() if key != "amp"}]
@@ -144,6 +144,6 @@ def test_wrong_orientation_is_seen(
     given = SmoothModelSettings(smooth_model=SmoothModelBlock.model_validate(block))
     if signs:
         with pytest.raises(ValueError, match=r"chi2_red = \d"):
-            smooth_model.run(given, observed, model)
+            run_stage("smooth_model", given, model, observation=observed)
     else:
-        smooth_model.run(given, observed, model)
+        run_stage("smooth_model", given, model, observation=observed)

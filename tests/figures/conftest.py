@@ -9,23 +9,13 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from warmlens.artifacts.names import CONFIG, NUMBERS, TABLE
-from warmlens.campaign.files import chunks, shards, stage_files
-from warmlens.campaign.settings import stage_settings
+from warmlens.artifacts.names import CONFIG
+from warmlens.campaign.files import campaign_job, chunks, shards, stage_files
 from warmlens.config.file import load_config, parse_config
 from warmlens.config.model import Config
 from warmlens.figures import registry
-from warmlens.stages import (
-    deflections,
-    halos,
-    mocks,
-    observation,
-    scan_operator,
-    scans,
-    smooth_model,
-    summaries,
-)
-from warmlens.stages.abc import run as abc
+from warmlens.stage_table import STAGES, campaign_stages
+from warmlens.stages.job import run_job
 
 from ..shared import shared_folder
 
@@ -72,39 +62,11 @@ def campaign(paper_config: Config, tmp_path_factory: pytest.TempPathFactory) -> 
 def _run(config: Config) -> None:
     (Path(config.results) / CONFIG).write_text(config.model_dump_json())
 
-    def one(stage: str) -> Path:
-        return stage_files(config, stage)[0]
-
-    def settings(stage: str) -> Any:
-        return stage_settings(config, stage)
-
-    observed, model, design = one("observation"), one("smooth_model"), one("scan_design")
-    operator = stage_files(config, "scan_operator")
-    observation.run(settings("observation"), observed)
-    smooth_model.run(settings("smooth_model"), observed, model)
-    scan_operator.run_design(settings("scan_design"), observed, model, design)
-    for span, path in zip(shards(config), operator, strict=True):
-        scan_operator.run(settings("scan_operator"), span, observed, model, design, path)
-    scans.run_observed(settings("observed_scan"), observed, model, design, operator, one("observed_scan"))
-    summaries.run_observed(settings("observed_summary"), one("observed_scan"), one("observed_summary"))
-    names = ("halos", "deflections", "mocks", "scans", "summaries")
-    for span, *paths in zip(chunks(config), *(stage_files(config, name) for name in names), strict=True):
-        halo, delta, mock, scan, summary = paths
-        halos.run(settings("halos"), span, halo)
-        deflections.run(settings("deflections"), halo, observed, delta)
-        mocks.run(settings("mocks"), delta, observed, model, mock)
-        scans.run(settings("scans"), mock, observed, model, design, operator, scan)
-        summaries.run(settings("summaries"), scan, summary)
-    folder = Path(config.results)
-    abc.run(
-        settings("abc"),
-        stage_files(config, "summaries"),
-        one("observed_summary"),
-        model,
-        one("abc"),
-        folder / TABLE,
-        folder / NUMBERS,
-    )
+    for stage in campaign_stages(config):
+        row = STAGES[stage]
+        spans = shards(config) if row.by_position else chunks(config) if row.by_sample else [None]
+        for span in spans if stage_files(config, stage) else []:
+            run_job(campaign_job(config, stage, span))
 
 
 @pytest.fixture(scope="session")

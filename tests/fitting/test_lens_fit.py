@@ -13,7 +13,6 @@ import pytest
 import yaml
 
 from warmlens.artifacts.file import Provenance, open_artifact, write_artifact
-from warmlens.campaign.settings import stage_settings
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
 from warmlens.fitting.lens_fit import first_model, fit_lens, outside_cores, solve_given, usable_pixels
@@ -29,8 +28,12 @@ from warmlens.imaging.shapelets import ShapeletSet, surface_brightness
 from warmlens.lensing.macro_model import deflection, light_images
 from warmlens.products.observation import observation_datasets, read_observation
 from warmlens.products.smooth_model import SmoothModel, read_smooth_model
-from warmlens.stages import scan_operator, smooth_model
+from warmlens.stage_table import stage_settings
+from warmlens.stages import smooth_model
+from warmlens.stages.scan_operator import scan_linear_model
 from warmlens.types import FloatArray
+
+from ..shared import run_stage
 
 ROOT = Path(__file__).parents[2]
 GRID = PixelGrid.centred((60, 60), 0.06)
@@ -170,7 +173,7 @@ def off(block: dict[str, Any]) -> dict[str, Any]:
 
 def run(block: dict[str, Any], folder: Path, name: str = "model.h5") -> Path:
     settings: Any = stage_settings(config(block), "smooth_model")
-    smooth_model.run(settings, folder / "observation.h5", folder / name)
+    run_stage("smooth_model", settings, folder / name, observation=folder / "observation.h5")
     return folder / name
 
 
@@ -488,7 +491,7 @@ def test_linear_refit_is_the_fit(fitted: Path, folder: Path, observed: Observati
     def chi2(model: SmoothModel, marginalise: bool) -> float:
         raw = config(smooth_block()).model_dump()
         raw["scan"] |= {"marginalise_lens": marginalise, "nested": None}
-        linear = scan_operator.scan_linear_model(parse_config(raw).scan, observed, model, "F814W")
+        linear = scan_linear_model(parse_config(raw).scan, observed, model, "F814W")
         return solve(linear, (image * band.weights).reshape(-1, 1)).chi2[0]
 
     whole = again.solution.chi2
@@ -526,7 +529,8 @@ def test_macro_columns_are_what_moving_the_lens_does(folder: Path, fitted: Path)
     raw = config(smooth_block()).model_dump()
     raw["scan"] |= {"marginalise_lens": True, "nested": None}
     settings = stage_settings(parse_config(raw), "scan_design")
-    scan_operator.run_design(settings, folder / "observation.h5", fitted, folder / "design.h5")
+    inputs = {"observation": folder / "observation.h5", "smooth_model": fitted}
+    run_stage("scan_design", settings, folder / "design.h5", **inputs)
     with open_artifact(folder / "design.h5", "scan_design") as artifact:
         prior, norms = artifact.array("F814W/prior"), artifact.array("F814W/column_norms")
     n_free = model.fits["F814W"].n_columns

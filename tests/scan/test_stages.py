@@ -1,5 +1,6 @@
 """Stages of the scan: files that are not this campaign's are refused by name; macro columns; windows."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,8 +14,13 @@ from warmlens.imaging.observation import Band, Observation
 from warmlens.imaging.psf import point_source
 from warmlens.products.scan_maps import read_response
 from warmlens.scan.raster import Raster
-from warmlens.stages import scan_operator, scans
-from warmlens.stages.settings import ScanSettings
+from warmlens.stage_table import ScanSettings
+from warmlens.stages import scan_operator
+from warmlens.stages import scanner as scanning
+from warmlens.stages.job import make_job, run_job
+from warmlens.stages.scanner import Scanner
+
+from ..shared import run_stage
 
 BLOCK = {
     "perturber": {"theta_e_arcsec": 0.01, "r_trunc_arcsec": 0.1},
@@ -48,7 +54,7 @@ def campaign(band, mocks, tmp_path, monkeypatch):
         macro={"F814W": rng.normal(size=(quasar.size, 2))},
         macro_sigma=np.array([1.0, 30.0]),
     )
-    for module in (scans, scan_operator):
+    for module in (scanning, scan_operator):
         monkeypatch.setattr(module, "read_observation", lambda _: observation)
         monkeypatch.setattr(module, "read_smooth_model", lambda _: model)
     settings = settings_of()
@@ -71,22 +77,31 @@ def stand_in(path, stage, number):
 
 
 def build(paths, settings):
-    scan_operator.run_design(settings, paths.observation, paths.smooth_model, paths.design)
+    build_design(paths, settings)
     for span, path in zip(SPANS, paths.shards, strict=True):
-        scan_operator.run(settings, span, paths.observation, paths.smooth_model, paths.design, path)
+        run_stage("scan_operator", settings, path, span, design=paths.design, **lens(paths))
+
+
+def build_design(paths, settings):
+    run_stage("scan_design", settings, paths.design, **lens(paths))
+
+
+def lens(paths):
+    return {"observation": paths.observation, "smooth_model": paths.smooth_model}
 
 
 def scanner(paths, settings=None):
-    return scans.Scanner(
-        settings or paths.settings, paths.observation, paths.smooth_model, paths.design, paths.shards
-    )
+    return Scanner(observed_job(paths, settings or paths.settings))
+
+
+def observed_job(paths, settings, output=Path("never.h5")):
+    inputs = {**lens(paths), "design": paths.design, "shards": paths.shards}
+    return make_job("observed_scan", settings, output, inputs)
 
 
 def test_scan_of_the_observation(campaign, tmp_path):
     output = tmp_path / "observed_scan.h5"
-    scans.run_observed(
-        campaign.settings, campaign.observation, campaign.smooth_model, campaign.design, campaign.shards, output
-    )
+    run_job(observed_job(campaign, campaign.settings, output))
     with open_artifact(output, "observed_scan") as artifact:
         maps = {name: artifact.array(f"F814W/{name}") for name in ("delta_r", "r_smooth", "r_pert", "r_sens")}
         valid, chi2 = artifact.array("raster/valid"), artifact.array("F814W/chi2")
@@ -109,11 +124,9 @@ def test_statistics_and_sensitivity_of_the_observation(campaign, tmp_path):
             "redshifts": RedshiftBlock(lens=0.295, source=0.658),
         }
     )
-    assert settings.without_samples() == amplitude
+    assert settings.of_operator() == amplitude
     output = tmp_path / "observed_scan.h5"
-    scans.run_observed(
-        settings, campaign.observation, campaign.smooth_model, campaign.design, campaign.shards, output
-    )
+    run_job(observed_job(campaign, settings, output))
     with open_artifact(output, "observed_scan") as artifact:
         score, fisher, noise = (artifact.array(f"F814W/{name}") for name in ("score", "fisher", "fisher_noise"))
         theta_e, expected, mass = (
@@ -149,7 +162,7 @@ def test_statistics_are_checked():
 def test_residual_samples_need_no_new_operator(campaign):
     """The list of samples is no setting of the operator: its shards stay good."""
     settings = settings_of(residual_samples=[3, 5])
-    assert settings.without_samples() == campaign.settings
+    assert settings.of_operator() == campaign.settings
     images = np.stack([campaign.image] * 3)
     result = scanner(campaign, settings).scan("F814W", images, np.array([0, 2]))
     assert result.delta_r.shape == (3, 4, 4)
@@ -170,7 +183,7 @@ def test_residual_samples_need_no_new_operator(campaign):
 def test_other_settings_are_refused(campaign, changes, named):
     with pytest.raises(ArtifactError, match=rf"design\.h5.*other settings.*{named}.*delete"):
         scanner(campaign, settings_of(**changes))
-    scan_operator.run_design(settings_of(**changes), campaign.observation, campaign.smooth_model, campaign.design)
+    build_design(campaign, settings_of(**changes))
     with pytest.raises(ArtifactError, match=rf"shard-0\.h5.*other settings.*{named}.*delete"):
         scanner(campaign, settings_of(**changes))
 
@@ -180,14 +193,14 @@ def test_another_input_is_refused(campaign, name):
     stand_in(getattr(campaign, name), name, 2)
     with pytest.raises(ArtifactError, match=rf"design\.h5.*another {name}"):
         scanner(campaign)
-    scan_operator.run_design(campaign.settings, campaign.observation, campaign.smooth_model, campaign.design)
+    build_design(campaign, campaign.settings)
     with pytest.raises(ArtifactError, match=rf"shard-0\.h5.*another {name}"):
         scanner(campaign)
 
 
 def test_shard_of_another_design_is_refused(campaign):
     campaign.model.fixed["F814W"] = campaign.model.fixed["F814W"] * np.array([1.0, 2.0])
-    scan_operator.run_design(campaign.settings, campaign.observation, campaign.smooth_model, campaign.design)
+    build_design(campaign, campaign.settings)
     with pytest.raises(ArtifactError, match=r"shard-0\.h5.*another design"):
         scanner(campaign)
 
@@ -204,13 +217,13 @@ def test_truncated_missing_or_incomplete_shards_are_refused(campaign):
 
 def test_positions_beyond_the_raster_are_refused(campaign, tmp_path):
     with pytest.raises(ValueError, match=r"8 to 24.*raster has 16"):
-        scan_operator.run(
+        run_stage(
+            "scan_operator",
             campaign.settings,
-            (8, 24),
-            campaign.observation,
-            campaign.smooth_model,
-            campaign.design,
             tmp_path / "x.h5",
+            (8, 24),
+            design=campaign.design,
+            **lens(campaign),
         )
 
 
@@ -243,16 +256,6 @@ def test_window_around_the_unmasked_pixels():
         Raster.around(np.zeros(grid.shape, dtype=bool), grid, 0.1)
 
 
-def test_window_null_in_the_settings(campaign):
-    block = settings_of(window_arcsec=None).scan
-    mask = np.zeros((32, 30), dtype=bool)
-    mask[4:20, 6:26] = True
-    other = mask.copy()
-    other[20:24, 6:8] = True
-    observed = SimpleNamespace(
-        grid=PixelGrid.centred((32, 30), 0.05), bands=(SimpleNamespace(mask=mask), SimpleNamespace(mask=other))
-    )
-    raster = scan_operator.scan_raster(block, observed)
-    assert raster.shape == (round(20 * 0.05 / 0.3), round(20 * 0.05 / 0.3))
+def test_a_window_of_null_has_no_center():
     with pytest.raises(ValueError, match="center"):
         settings_of(window_arcsec=None, center=[0.1, 0.0])

@@ -34,13 +34,13 @@ from warmlens.artifacts.file import (
     write_artifact,
 )
 from warmlens.campaign.files import chunks, shards
-from warmlens.campaign.settings import STAGES, stage_settings
 from warmlens.config.file import ConfigError, expand_path, parse_config
 from warmlens.config.model import Config
 from warmlens.config.observation import FitsBandBlock
 from warmlens.config.yaml import read_yaml
 from warmlens.products.images import read_band
 from warmlens.products.observation import read_observation
+from warmlens.stage_table import STAGES, stage_settings
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = int(os.environ.get("WARMLENS_FUZZ", "30"))

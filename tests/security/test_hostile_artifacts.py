@@ -22,9 +22,9 @@ from warmlens.artifacts.file import (
     content_digest,
     input_digest,
     open_artifact,
-    settings_digest,
     write_artifact,
 )
+from warmlens.config.digest import settings_digest
 from warmlens.imaging.grid import PixelGrid
 from warmlens.products.observation import copy_bands, read_observation
 from warmlens.products.samples import SampleTable

@@ -13,16 +13,17 @@ from warmlens.artifacts.file import (
     Dataset,
     Provenance,
     open_artifact,
-    settings_digest,
     write_artifact,
 )
+from warmlens.config.digest import settings_digest
 from warmlens.config.model import AbcBlock, DarkMatterBlock
 from warmlens.products.samples import FAILED_HERE, SampleTable
 from warmlens.report.combination import combine_results
 from warmlens.report.result import companions, others
 from warmlens.sampling import draw_parameters
-from warmlens.stages.abc import run as abc
-from warmlens.stages.settings import AbcSettings
+from warmlens.stage_table import AbcSettings
+
+from ..shared import run_stage
 
 N, CHUNK = 60, 20
 DR, THRESHOLDS = np.linspace(0.0, 2.5, 6), np.linspace(-40.0, -4.0, 5)
@@ -100,8 +101,6 @@ def _campaign(
         "observed_summary": folder / "observed.h5",
         "smooth_model": folder / "smooth.h5",
         "output": folder / "abc.h5",
-        "table_csv": folder / "abc.csv",
-        "numbers_json": folder / "abc.json",
         "null_summaries": folder / "null.h5" if null else None,
     }
 
@@ -121,7 +120,7 @@ def _settings(**changes: object) -> AbcSettings:
 
 def test_the_nearest_samples_are_accepted(tmp_path: Path) -> None:
     campaign = _campaign(tmp_path, failed=(5, 33))
-    abc.run(_settings(), **campaign)
+    run_stage("abc", _settings(), **campaign)
     with open_artifact(tmp_path / "abc.h5", "abc") as artifact:
         m, accepted = artifact.array("table/m_th_kev"), artifact.array("table/accepted").astype(bool)
         distance, meta = artifact.array("table/distance_correlation"), artifact.metadata
@@ -142,7 +141,7 @@ def test_the_nearest_samples_are_accepted(tmp_path: Path) -> None:
 
 
 def test_samples_beyond_the_campaign_are_left_out(tmp_path: Path) -> None:
-    abc.run(_settings(n_samples=45), **_campaign(tmp_path))
+    run_stage("abc", _settings(n_samples=45), **_campaign(tmp_path))
     with open_artifact(tmp_path / "abc.h5", "abc") as artifact:
         assert artifact.array("table/sample_id").tolist() == list(range(45))
 
@@ -151,7 +150,7 @@ def test_too_many_failures(tmp_path: Path) -> None:
     with pytest.raises(
         ArtifactError, match=r"7 of 60 samples failed.*max_failed_fraction.*sample 0: mocks: broken"
     ):
-        abc.run(_settings(), **_campaign(tmp_path, failed=tuple(range(7))))
+        run_stage("abc", _settings(), **_campaign(tmp_path, failed=tuple(range(7))))
     assert not (tmp_path / "abc.h5").exists()
 
 
@@ -159,17 +158,17 @@ def test_a_missing_chunk(tmp_path: Path) -> None:
     campaign = _campaign(tmp_path)
     campaign["summaries"] = campaign["summaries"][::2]
     with pytest.raises(ArtifactError, match=r"do not hold samples 0\.\.59 once each"):
-        abc.run(_settings(), **campaign)
+        run_stage("abc", _settings(), **campaign)
 
 
 def test_other_settings_upstream(tmp_path: Path) -> None:
     stale = dict.fromkeys(("summaries", "observed_summary", "smooth_model"), settings_digest({"new": 1}))
     with pytest.raises(ArtifactError, match="made with other settings"):
-        abc.run(_settings(upstream=stale), **_campaign(tmp_path))
+        run_stage("abc", _settings(upstream=stale), **_campaign(tmp_path))
 
 
 def test_every_number_is_in_the_json_too(tmp_path: Path) -> None:
-    abc.run(_settings(n_samples=800), **_campaign(tmp_path, n=800, noise=0.5, observed=3.2))
+    run_stage("abc", _settings(n_samples=800), **_campaign(tmp_path, n=800, noise=0.5, observed=3.2))
     found = json.loads((tmp_path / "abc.json").read_text())
     with open_artifact(tmp_path / "abc.h5", "abc") as artifact:
         assert {key: found[key] for key in artifact.metadata} == artifact.metadata
@@ -214,7 +213,7 @@ def test_every_number_is_in_the_json_too(tmp_path: Path) -> None:
 
 def test_whitened_distances_are_another_column(tmp_path: Path) -> None:
     settings = _settings(n_samples=200, abc=_block(distance="whitened"))
-    abc.run(settings, **_campaign(tmp_path, n=200, noise=0.3))
+    run_stage("abc", settings, **_campaign(tmp_path, n=200, noise=0.3))
     table = pd.read_csv(tmp_path / "abc.csv")
     m = table["distance_correlation"] / table["cut_correlation"]
     assert m.std() > 0.0 or not np.allclose(m, 1.0)
@@ -226,7 +225,7 @@ def _warnings(tmp_path: Path) -> str:
 
 
 def test_a_small_table_is_not_a_normal_bound(tmp_path: Path) -> None:
-    abc.run(_settings(), **_campaign(tmp_path))
+    run_stage("abc", _settings(), **_campaign(tmp_path))
     text = _warnings(tmp_path)
     assert "the table has 60 samples only" in text
     assert "only 12 samples are accepted" in text
@@ -239,13 +238,13 @@ def test_a_small_table_is_not_a_normal_bound(tmp_path: Path) -> None:
 
 
 def test_an_observation_outside_the_cloud_is_not_a_normal_bound(tmp_path: Path) -> None:
-    abc.run(_settings(n_samples=300), **_campaign(tmp_path, n=300, observed=11.0))
+    run_stage("abc", _settings(n_samples=300), **_campaign(tmp_path, n=300, observed=11.0))
     assert "THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in correlation" in _warnings(tmp_path)
     assert not json.loads((tmp_path / "abc.json").read_text())["quotable"]
 
 
 def test_a_correlation_function_that_is_zero_everywhere_is_not_a_normal_bound(tmp_path: Path) -> None:
-    abc.run(_settings(n_samples=300), **_campaign(tmp_path, n=300, correlation=0.0, noise=0.5))
+    run_stage("abc", _settings(n_samples=300), **_campaign(tmp_path, n=300, correlation=0.0, noise=0.5))
     text = _warnings(tmp_path)
     assert "all samples have the same distance in correlation" in text
     found = json.loads((tmp_path / "abc.json").read_text())
@@ -255,10 +254,10 @@ def test_a_correlation_function_that_is_zero_everywhere_is_not_a_normal_bound(tm
 
 def test_a_parameter_that_never_changes_is_not_a_normal_bound(tmp_path: Path) -> None:
     settings = _settings(n_samples=200, abc=_block(leave_one_out=50))
-    abc.run(settings, **_campaign(tmp_path, n=200, noise=0.3, constant={"log10_m_halo_msun": 13.25}))
+    run_stage("abc", settings, **_campaign(tmp_path, n=200, noise=0.3, constant={"log10_m_halo_msun": 13.25}))
     assert "all samples have the halo mass 10^13.25 Msun: nothing is marginalised" in _warnings(tmp_path)
     with pytest.raises(ArtifactError, match=r"cannot be used: all 200 samples have m_kev = 3\.0: no bound"):
-        abc.run(settings, **_campaign(tmp_path, n=200, noise=0.3, constant={"m_th_kev": 3.0}))
+        run_stage("abc", settings, **_campaign(tmp_path, n=200, noise=0.3, constant={"m_th_kev": 3.0}))
 
 
 def test_ties_in_everything_say_that_there_is_no_information(tmp_path: Path) -> None:
@@ -276,7 +275,7 @@ def test_ties_in_everything_say_that_there_is_no_information(tmp_path: Path) -> 
         write_artifact(
             path, Provenance(stage, SUMMARIES, span=span), {**table.datasets(), **_paper(np.zeros(CHUNK))}, {}
         )
-    abc.run(_settings(n_samples=300), **campaign)
+    run_stage("abc", _settings(n_samples=300), **campaign)
     text = _warnings(tmp_path)
     assert "300 samples tie at the acceptance threshold" in text
     assert "all samples have the same distance in cumulative" in text
@@ -287,7 +286,7 @@ def test_the_null_test_stands_beside_the_bound(tmp_path: Path) -> None:
     """Mocks whose summaries are those of warm samples; one has failed."""
     null = (*np.linspace(1.0, 1.6, 45), np.nan)
     settings = _settings(n_samples=600, abc=_block(leave_one_out=150))
-    abc.run(settings, **_campaign(tmp_path, n=600, noise=0.3, observed=4.5, null=null))
+    run_stage("abc", settings, **_campaign(tmp_path, n=600, noise=0.3, observed=4.5, null=null))
     found = json.loads((tmp_path / "abc.json").read_text())
     test = found["null_test"]
     assert (test["n_mocks"], test["n_failed"]) == (45, 1)
@@ -315,7 +314,7 @@ def test_the_null_test_stands_beside_the_bound(tmp_path: Path) -> None:
 def test_mocks_without_substructure_that_reach_the_bound_are_cried_out(tmp_path: Path) -> None:
     null = (*np.full(9, 1.5), 4.8)
     settings = _settings(n_samples=300, abc=_block(leave_one_out=60))
-    abc.run(settings, **_campaign(tmp_path, n=300, noise=0.5, observed=4.5, null=null))
+    run_stage("abc", settings, **_campaign(tmp_path, n=300, noise=0.5, observed=4.5, null=null))
     assert "null test: 10% of 10 mocks without substructure give a bound as high" in _warnings(tmp_path)
 
 
@@ -323,11 +322,11 @@ def test_a_null_test_of_other_settings_is_refused(tmp_path: Path) -> None:
     settings = _settings()
     stale = {**settings.upstream, "null_summaries": settings_digest({"new": 1})}
     with pytest.raises(ArtifactError, match=r"null\.h5: made with other settings"):
-        abc.run(_settings(upstream=stale), **_campaign(tmp_path, null=(1.0, 2.0)))
+        run_stage("abc", _settings(upstream=stale), **_campaign(tmp_path, null=(1.0, 2.0)))
 
 
 def test_a_null_test_of_which_nothing_is_left_is_said(tmp_path: Path) -> None:
-    abc.run(_settings(), **_campaign(tmp_path, null=(np.nan, np.nan)))
+    run_stage("abc", _settings(), **_campaign(tmp_path, null=(np.nan, np.nan)))
     assert "null test: all 2 mocks without substructure failed" in _warnings(tmp_path)
     assert json.loads((tmp_path / "abc.json").read_text())["null_test"] is None
 
@@ -335,11 +334,11 @@ def test_a_null_test_of_which_nothing_is_left_is_said(tmp_path: Path) -> None:
 def test_an_observation_at_the_edge_of_the_samples_is_said(tmp_path: Path) -> None:
     """Inside the cloud as far as distances go, and yet higher than all but a few samples."""
     settings = _settings(n_samples=400, abc=_block(leave_one_out=60))
-    abc.run(settings, **_campaign(tmp_path, n=400, observed=4.98))
+    run_stage("abc", settings, **_campaign(tmp_path, n=400, observed=4.98))
     found = json.loads((tmp_path / "abc.json").read_text())
     assert found["observation_among_samples"]["correlation_at_0"]["p_value"] < 0.05
     assert "the observation is at the edge of the samples in correlation_at_0: 99." in _warnings(tmp_path)
-    abc.run(settings, **_campaign(tmp_path, n=400, observed=4.5))
+    run_stage("abc", settings, **_campaign(tmp_path, n=400, observed=4.5))
     assert "edge of the samples" not in _warnings(tmp_path)
 
 
@@ -347,7 +346,11 @@ def test_an_observation_at_the_edge_of_the_samples_is_said(tmp_path: Path) -> No
 def test_other_summaries_as_the_headline(tmp_path: Path, name: str) -> None:
     campaign = _campaign(tmp_path, n=600, noise=0.3, observed=4.0, null=(1.2, 1.3, 1.4), response=True)
     upstream = dict.fromkeys(("observed_summary", "summaries"), settings_digest(_both()))
-    abc.run(_settings(n_samples=600, abc=_block(summaries=name, leave_one_out=100), upstream=upstream), **campaign)
+    run_stage(
+        "abc",
+        _settings(n_samples=600, abc=_block(summaries=name, leave_one_out=100), upstream=upstream),
+        **campaign,
+    )
     found = json.loads((tmp_path / "abc.json").read_text())
     kinds = {"sharper": ["response", "counts"], "learned": ["learned_m", "learned_mass"]}[name]
     assert (found["summaries"], found["kinds"]) == (name, kinds)
@@ -369,13 +372,13 @@ def test_headline_summaries_that_are_missing_are_refused(tmp_path: Path) -> None
     with pytest.raises(
         ArtifactError, match=r"abc\.summaries: sharper cannot be used: the linear response needs scan"
     ):
-        abc.run(_settings(abc=_block(summaries="sharper")), **_campaign(tmp_path))
+        run_stage("abc", _settings(abc=_block(summaries="sharper")), **_campaign(tmp_path))
     few = _campaign(tmp_path, n=40)
     with pytest.raises(
         ArtifactError, match=r"learned cannot be used: learned summaries need 50 samples, there are 40"
     ):
-        abc.run(_settings(n_samples=40, abc=_block(summaries="learned")), **few)
-    abc.run(_settings(n_samples=40), **few)
+        run_stage("abc", _settings(n_samples=40, abc=_block(summaries="learned")), **few)
+    run_stage("abc", _settings(n_samples=40), **few)
     found = json.loads((tmp_path / "abc.json").read_text())
     assert "need 50 samples" in found["summary_sets"]["learned"]["refused"]
     assert found["summary_sets"]["paper"]["bound"]["k"] == 8
@@ -390,7 +393,7 @@ def _both() -> dict[str, object]:
 
 def test_too_few_marginal_cuts_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match=r"marginal_and leaves \d+ of 60 samples.*raise abc\.fraction"):
-        abc.run(_settings(abc=_block(acceptance="marginal_and")), **_campaign(tmp_path))
+        run_stage("abc", _settings(abc=_block(acceptance="marginal_and")), **_campaign(tmp_path))
     assert not (tmp_path / "abc.json").exists()
 
 
@@ -399,7 +402,7 @@ def test_lenses_are_combined_by_their_likelihood_ratios(tmp_path: Path) -> None:
     for name, observed in (("one", 4.5), ("two", 4.7)):
         folder = tmp_path / name
         folder.mkdir()
-        abc.run(_settings(n_samples=400), **_campaign(folder, n=400, noise=0.8, observed=observed))
+        run_stage("abc", _settings(n_samples=400), **_campaign(folder, n=400, noise=0.8, observed=observed))
         folders.append(folder)
     found = combine_results(folders, tmp_path / "both.json")
     assert json.loads((tmp_path / "both.json").read_text()) == found

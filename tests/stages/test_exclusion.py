@@ -13,15 +13,16 @@ from warmlens.artifacts.file import (
     Dataset,
     Provenance,
     open_artifact,
-    settings_digest,
     write_artifact,
 )
+from warmlens.config.digest import settings_digest
 from warmlens.config.model import AbcBlock, DarkMatterBlock
 from warmlens.products.samples import FAILED_HERE, SampleTable
 from warmlens.report.exclusion import exclusion_lines
 from warmlens.sampling import grid_parameters
-from warmlens.stages import exclusion
-from warmlens.stages.settings import ExclusionSettings, GridNodes
+from warmlens.stage_table import ExclusionSettings, GridNodes
+
+from ..shared import run_stage
 
 NODES = GridNodes(design="grid", m_th_kev=[1.0, 5.0], log10_m_halo_msun=[12.0, 12.5, 13.0, 13.5])
 REALIZATIONS, CHUNK = 25, 40
@@ -64,8 +65,6 @@ def _campaign(folder: Path, failed: tuple[int, ...] = ()) -> dict[str, Any]:
         "observed_summary": folder / "observed.h5",
         "smooth_model": folder / "smooth.h5",
         "output": folder / "exclusion.h5",
-        "table_csv": folder / "exclusion.csv",
-        "numbers_json": folder / "exclusion.json",
     }
 
 
@@ -83,7 +82,7 @@ def _settings(**changes: object) -> ExclusionSettings:
 
 
 def test_light_haloes_are_excluded(tmp_path: Path) -> None:
-    exclusion.run(_settings(), **_campaign(tmp_path, failed=(3,)))
+    run_stage("exclusion", _settings(), **_campaign(tmp_path, failed=(3,)))
     with open_artifact(tmp_path / "exclusion.h5", "exclusion") as artifact:
         meta, accepted = artifact.metadata, artifact.array("nodes/n_accepted")
         mass = artifact.array("table/log10_m_halo_msun")[artifact.array("table/accepted").astype(bool)]
@@ -110,7 +109,7 @@ def test_light_haloes_are_excluded(tmp_path: Path) -> None:
 
 
 def test_too_few_accepted_exclude_nothing(tmp_path: Path) -> None:
-    exclusion.run(_settings(fraction=0.1), **_campaign(tmp_path))
+    run_stage("exclusion", _settings(fraction=0.1), **_campaign(tmp_path))
     with open_artifact(tmp_path / "exclusion.h5", "exclusion") as artifact:
         meta = artifact.metadata
     assert meta["statement"] == "no halo mass is excluded at 95.45%"
@@ -126,18 +125,18 @@ def test_other_summaries_and_rules(tmp_path: Path) -> None:
         ({"acceptance": "scaled_sum"}, 12.5),
     )
     for block, expected in cases:
-        exclusion.run(_settings(**block), **campaign)
+        run_stage("exclusion", _settings(**block), **campaign)
         with open_artifact(tmp_path / "exclusion.h5", "exclusion") as artifact:
             assert artifact.metadata["excluded_up_to_log10_m_halo_msun"] == expected, block
 
 
 def test_refusals(tmp_path: Path) -> None:
     with pytest.raises(ArtifactError, match=r"30 of 200 samples failed.*sample 0: mocks: broken"):
-        exclusion.run(_settings(), **_campaign(tmp_path, failed=tuple(range(30))))
+        run_stage("exclusion", _settings(), **_campaign(tmp_path, failed=tuple(range(30))))
     campaign = _campaign(tmp_path)
     with pytest.raises(ArtifactError, match="at least 2 are needed"):
-        exclusion.run(_settings(fraction=0.001), **campaign)
+        run_stage("exclusion", _settings(fraction=0.001), **campaign)
     other = _settings().model_copy(update={"upstream": {"summaries": settings_digest({"old": 1})}})
     with pytest.raises(ArtifactError, match=r"chunk-0\.h5: made with other settings"):
-        exclusion.run(other, **campaign)
+        run_stage("exclusion", other, **campaign)
     assert not (tmp_path / "exclusion.h5").exists()

@@ -9,18 +9,21 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts.file import ArtifactError, open_artifact
-from warmlens.campaign.settings import stage_settings
 from warmlens.config.file import load_config, parse_config
 from warmlens.config.model import Config
 from warmlens.imaging.psf import point_source
-from warmlens.lensing.images import DeflectionField
+from warmlens.lensing.images import DeflectionField, moved_images
 from warmlens.lensing.substructure import filtered_deflection
 from warmlens.physics import geometry, halo_generator
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import FAILED_HERE, OK
 from warmlens.products.smooth_model import read_smooth_model, scan_band
 from warmlens.sampling import stream
-from warmlens.stages import deflections, halos, mocks, observation, smooth_model
+from warmlens.stage_table import stage_settings
+from warmlens.stages import deflections
+from warmlens.stages.mocks import noise_free_image
+
+from ..shared import run_stage
 
 ROOT = Path(__file__).parents[2]
 
@@ -44,29 +47,32 @@ def _with(config: Config, block: str, **values: Any) -> Config:
 def folder(config: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Artifacts of three samples, quasars where they are observed."""
     path = tmp_path_factory.mktemp("mocks")
-    observation.run(stage_settings(config, "observation"), path / "observation.h5")
-    smooth_model.run(stage_settings(config, "smooth_model"), path / "observation.h5", path / "smooth_model.h5")
-    halos.run(stage_settings(config, "halos"), (0, 3), path / "halos.h5")
+    observed = path / "observation.h5"
+    run_stage("observation", stage_settings(config, "observation"), observed)
+    run_stage(
+        "smooth_model", stage_settings(config, "smooth_model"), path / "smooth_model.h5", observation=observed
+    )
+    run_stage("halos", stage_settings(config, "halos"), path / "halos.h5", (0, 3))
     _deflect(config, path, "deflections.h5")
     _mock(config, path, "deflections.h5", "mocks.h5")
     return path
 
 
 def _deflect(config: Config, folder: Path, output: str) -> np.ndarray:
-    settings = stage_settings(config, "deflections")
-    deflections.run(settings, folder / "halos.h5", folder / "observation.h5", folder / output)
+    inputs = {"halos": folder / "halos.h5", "observation": folder / "observation.h5"}
+    run_stage("deflections", stage_settings(config, "deflections"), folder / output, **inputs)
     with open_artifact(folder / output, "deflections") as artifact:
         return artifact.array("delta_alpha")
 
 
 def _mock(config: Config, folder: Path, delta: str, output: str) -> None:
-    mocks.run(
-        stage_settings(config, "mocks"),
-        folder / delta,
-        folder / "observation.h5",
-        folder / "smooth_model.h5",
-        folder / output,
+    run_stage(
+        "mocks", stage_settings(config, "mocks"), folder / output, deflections=folder / delta, **_lens(folder)
     )
+
+
+def _lens(folder: Path) -> dict[str, Path]:
+    return {"observation": folder / "observation.h5", "smooth_model": folder / "smooth_model.h5"}
 
 
 def test_deflections_are_those_of_the_subhaloes(config: Config, folder: Path) -> None:
@@ -120,19 +126,20 @@ def test_a_mock_without_substructure_is_the_smooth_model(
 ) -> None:
     source = config.smooth_model.source.model_dump() | {"supersampling": supersampling}
     changed = _with(config, "smooth_model", source=source)
-    smooth_model.run(stage_settings(changed, "smooth_model"), folder / "observation.h5", tmp_path / "model.h5")
+    settings = stage_settings(changed, "smooth_model")
+    run_stage("smooth_model", settings, tmp_path / "model.h5", observation=folder / "observation.h5")
     observed, model = read_observation(folder / "observation.h5"), read_smooth_model(tmp_path / "model.h5")
     field = DeflectionField(model.deflection, observed.grid)
     quasars = np.array(config.smooth_model.quasar_images)
-    still = mocks.moved_images(field, field, quasars)
+    still = moved_images(field, field, quasars)
     for band in observed.bands:
         band_model = model.fits[band.name].model
         scanned = scan_band(observed, model, band.name)
         none = np.zeros((2, *observed.grid.shape))
         for positions in (None, still):
-            image = mocks.noise_free_image(model, observed.grid, *scanned, none, positions)
+            image = noise_free_image(model, observed.grid, *scanned, none, positions)
             assert np.abs(image - band_model).max() < 1e-10 * np.abs(band_model).max()
-        bent = mocks.noise_free_image(model, observed.grid, *scanned, none + 1e-3)
+        bent = noise_free_image(model, observed.grid, *scanned, none + 1e-3)
         assert np.abs(bent - band_model).max() > 1e-5 * np.abs(band_model).max()
 
 
@@ -147,7 +154,7 @@ def test_noise_is_drawn_per_sample_and_band(config: Config, folder: Path) -> Non
             noisy = artifact.array(f"{band.name}/image")
             scanned, convolution = scan_band(observed, model, band.name)
             for row in range(3):
-                clean = mocks.noise_free_image(model, observed.grid, scanned, convolution, delta[row])
+                clean = noise_free_image(model, observed.grid, scanned, convolution, delta[row])
                 rng = stream(config.campaign.seed, "mocks", row, band.name)
                 expected = band.noise.draw(clean, scanned.sigma, rng)
                 np.testing.assert_allclose(noisy[row], expected, rtol=1e-6, atol=1e-6)
@@ -162,7 +169,7 @@ def test_noise_is_drawn_per_sample_and_band(config: Config, folder: Path) -> Non
 
 def test_mocks_of_the_null_test_are_the_smooth_model_with_noise_of_their_own(config: Config, folder: Path) -> None:
     settings = stage_settings(_with(config, "null_test", n_mocks=5), "null_mocks")
-    mocks.run_null(settings, folder / "observation.h5", folder / "smooth_model.h5", folder / "null.h5")
+    run_stage("null_mocks", settings, folder / "null.h5", **_lens(folder))
     observed, model = read_observation(folder / "observation.h5"), read_smooth_model(folder / "smooth_model.h5")
     with open_artifact(folder / "null.h5", "null_mocks") as artifact:
         assert artifact.span == (0, 5)
@@ -231,7 +238,8 @@ def test_a_quasar_without_a_solution_fails_its_sample_alone(config: Config, fold
 
     deflections.filtered_deflection = torn
     try:
-        deflections.run(settings, folder / "halos.h5", folder / "observation.h5", bad)
+        inputs = {"halos": folder / "halos.h5", "observation": folder / "observation.h5"}
+        run_stage("deflections", settings, bad, **inputs)
     finally:
         deflections.filtered_deflection = original
     _mock(_with(config, "mocks", quasar_positions="solved"), folder, "torn.h5", "failed.h5")
@@ -249,16 +257,8 @@ def test_solved_positions_need_quasars(config: Config, folder: Path) -> None:
     raw["smooth_model"]["source"]["center"] = (-0.503, -0.058)
     without = parse_config(raw)
     lensed = folder / "no-quasars.h5"
-    smooth_model.run(
-        stage_settings(without, "smooth_model"),
-        folder / "observation.h5",
-        lensed,
-    )
+    observed = folder / "observation.h5"
+    run_stage("smooth_model", stage_settings(without, "smooth_model"), lensed, observation=observed)
     with pytest.raises(ArtifactError, match="needs quasar images"):
-        mocks.run(
-            stage_settings(without, "mocks"),
-            folder / "deflections.h5",
-            folder / "observation.h5",
-            lensed,
-            folder / "never.h5",
-        )
+        inputs = {"deflections": folder / "deflections.h5", "observation": observed, "smooth_model": lensed}
+        run_stage("mocks", stage_settings(without, "mocks"), folder / "never.h5", **inputs)

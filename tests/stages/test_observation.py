@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts.file import ArtifactError, Provenance, open_artifact, write_artifact
-from warmlens.campaign.settings import stage_settings
 from warmlens.config.file import ConfigError, load_config, parse_config
 from warmlens.config.model import Config
 from warmlens.imaging.grid import PixelGrid
@@ -17,7 +16,9 @@ from warmlens.products.images import planned_mask
 from warmlens.products.observation import read_observation
 from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
-from warmlens.stages import observation, smooth_model
+from warmlens.stage_table import stage_settings
+
+from ..shared import run_stage
 
 ROOT = Path(__file__).parents[2]
 SIMULATED = [[], ["demo"], ["ci"]]
@@ -31,7 +32,7 @@ def ci() -> Config:
 @pytest.fixture(scope="module")
 def simulated(ci: Config, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("observation") / "observation.h5"
-    observation.run(stage_settings(ci, "observation"), path)
+    run_stage("observation", stage_settings(ci, "observation"), path)
     return path
 
 
@@ -65,13 +66,13 @@ def test_bands(simulated: Path) -> None:
 
 
 def test_same_input_same_digest(ci: Config, simulated: Path, tmp_path: Path) -> None:
-    observation.run(stage_settings(ci, "observation"), tmp_path / "again.h5")
+    run_stage("observation", stage_settings(ci, "observation"), tmp_path / "again.h5")
     with open_artifact(simulated) as first, open_artifact(tmp_path / "again.h5") as second:
         assert first.digest == second.digest
 
 
 def test_smooth_model_reaches_the_noise(ci: Config, simulated: Path, tmp_path: Path) -> None:
-    smooth_model.run(stage_settings(ci, "smooth_model"), simulated, tmp_path / "smooth.h5")
+    run_stage("smooth_model", stage_settings(ci, "smooth_model"), tmp_path / "smooth.h5", observation=simulated)
     model = read_smooth_model(tmp_path / "smooth.h5")
     for name, fit in model.fits.items():
         assert fit.chi2_red < 1.3, name
@@ -89,8 +90,10 @@ def test_nothing_but_a_source(ci: Config, tmp_path: Path) -> None:
     raw["smooth_model"].update(quasar_images=[], lens_light=nothing, fit_background=False)
     raw["smooth_model"]["source"]["center"] = (-0.503, -0.058)
     config = parse_config(raw)
-    observation.run(stage_settings(config, "observation"), tmp_path / "o.h5")
-    smooth_model.run(stage_settings(config, "smooth_model"), tmp_path / "o.h5", tmp_path / "s.h5")
+    run_stage("observation", stage_settings(config, "observation"), tmp_path / "o.h5")
+    run_stage(
+        "smooth_model", stage_settings(config, "smooth_model"), tmp_path / "s.h5", observation=tmp_path / "o.h5"
+    )
     model = read_smooth_model(tmp_path / "s.h5")
     assert model.names == ()
     assert all(fit.chi2_red < 1.3 for fit in model.fits.values())
@@ -102,8 +105,10 @@ def test_supersampling_converges(ci: Config, tmp_path: Path) -> None:
     raw["observation"]["simulated"]["supersampling"] = 2
     raw["smooth_model"]["source"]["supersampling"] = 2
     config = parse_config(raw)
-    observation.run(stage_settings(config, "observation"), tmp_path / "o.h5")
-    smooth_model.run(stage_settings(config, "smooth_model"), tmp_path / "o.h5", tmp_path / "s.h5")
+    run_stage("observation", stage_settings(config, "observation"), tmp_path / "o.h5")
+    run_stage(
+        "smooth_model", stage_settings(config, "smooth_model"), tmp_path / "s.h5", observation=tmp_path / "o.h5"
+    )
     assert all(fit.chi2_red < 1.3 for fit in read_smooth_model(tmp_path / "s.h5").fits.values())
 
 
@@ -119,7 +124,7 @@ def test_a_field_that_is_too_small(ci: Config, tmp_path: Path) -> None:
     raw = ci.model_dump()
     raw["halos"]["field_half_width_arcsec"] = 3.0
     with pytest.raises(ValueError, match=r"halos\.field_half_width_arcsec = 3 is too small.* reach 3\.70"):
-        observation.run(stage_settings(parse_config(raw), "observation"), tmp_path / "o.h5")
+        run_stage("observation", stage_settings(parse_config(raw), "observation"), tmp_path / "o.h5")
 
 
 def _taken(config: Config, source: Path, bands: list[str]) -> Config:
@@ -130,12 +135,12 @@ def _taken(config: Config, source: Path, bands: list[str]) -> Config:
 
 def test_the_observation_of_another_campaign(ci: Config, simulated: Path, tmp_path: Path) -> None:
     config = _taken(ci, simulated, ["F814W", "F555W"])
-    observation.run(stage_settings(config, "observation"), tmp_path / "same.h5")
+    run_stage("observation", stage_settings(config, "observation"), tmp_path / "same.h5")
     with open_artifact(simulated) as original, open_artifact(tmp_path / "same.h5", "observation") as copy:
         assert copy.digest == original.digest  # truth and all
         assert copy.settings != original.settings
         assert copy.inputs["artifact"]["digest"] == original.digest
-    observation.run(stage_settings(_taken(ci, simulated, ["F555W"]), "observation"), tmp_path / "one.h5")
+    run_stage("observation", stage_settings(_taken(ci, simulated, ["F555W"]), "observation"), tmp_path / "one.h5")
     (band,) = read_observation(tmp_path / "one.h5").bands
     expected = read_observation(simulated).bands[1]
     assert (band.name, band.noise) == ("F555W", expected.noise)
@@ -150,7 +155,7 @@ def test_the_observation_of_another_campaign(ci: Config, simulated: Path, tmp_pa
 
 def test_an_observation_that_cannot_be_taken(ci: Config, simulated: Path, tmp_path: Path) -> None:
     def run(source: Path, bands: list[str]) -> None:
-        observation.run(stage_settings(_taken(ci, source, bands), "observation"), tmp_path / "out.h5")
+        run_stage("observation", stage_settings(_taken(ci, source, bands), "observation"), tmp_path / "out.h5")
 
     with pytest.raises(ConfigError, match=r"has no bands \['F160W'\]; it has \['F814W', 'F555W'\]"):
         run(simulated, ["F814W", "F160W"])

@@ -8,14 +8,16 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.campaign.settings import stage_settings
 from warmlens.config.model import Config
-from warmlens.products.samples import FAILED_HERE, SampleTable, null
+from warmlens.products.samples import FAILED_HERE, SampleTable
 from warmlens.sampling import draw_parameters
-from warmlens.stages import summaries
-from warmlens.stages.abc.tables import read_summaries, scalars
+from warmlens.stage_table import AbcSettings, stage_settings
+from warmlens.stages.abc.tables import read_samples, scalars
+from warmlens.stages.job import Job, make_job
 from warmlens.summaries.correlation import PairGeometry, correlation_function
 from warmlens.summaries.response import amplitude_correlation, mean_square_significance
+
+from ..shared import run_stage
 
 SHAPE, N, STEP = (60, 62), 3, 0.05
 
@@ -47,14 +49,29 @@ def _write(folder: Path, statistics: list[str], n: int | None, stage: str = "sca
     return folder / f"{stage}.h5"
 
 
+def _abc(config: Config, folder: Path, null: bool, summaries: str = "s.h5") -> Job[AbcSettings]:
+    """Run of `abc` on these summaries."""
+    write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, {"warnings": []})
+    block = config.abc.model_copy(update={"max_failed_fraction": 0.5})
+    settings = AbcSettings(seed=1, n_samples=N, dark_matter=config.dark_matter, abc=block, upstream={})
+    inputs = {
+        "summaries": folder / summaries,
+        "observed_summary": folder / "o.h5",
+        "smooth_model": folder / "smooth.h5",
+    }
+    return make_job(
+        "abc", settings, folder / "abc.h5", inputs | ({"null_summaries": folder / "n.h5"} if null else {})
+    )
+
+
 @pytest.mark.parametrize("statistics", [["delta_r"], ["delta_r", "amplitude"]])
 def test_every_summary_of_bands_and_their_sum(statistics: list[str], paper_config: Config, tmp_path: Path) -> None:
     settings = stage_settings(paper_config, "summaries").model_copy(
         update={"scan": paper_config.scan.model_copy(update={"statistics": statistics})}
     )
     scans, observed = _write(tmp_path, statistics, N), _write(tmp_path, statistics, None)
-    summaries.run(settings, scans, tmp_path / "s.h5")
-    summaries.run_observed(settings, observed, tmp_path / "o.h5")
+    run_stage("summaries", settings, tmp_path / "s.h5", scans=scans)
+    run_stage("observed_summary", settings, tmp_path / "o.h5", observed_scan=observed)
     with open_artifact(scans, "scans") as found, open_artifact(tmp_path / "s.h5", "summaries") as summary:
         valid = found.array("raster/valid")
         pairs = PairGeometry.from_raster(valid, STEP, paper_config.summaries.max_separation_arcsec)
@@ -74,7 +91,8 @@ def test_every_summary_of_bands_and_their_sum(statistics: list[str], paper_confi
         assert np.isnan(summary["combined/correlation"][1]).all()
         assert np.isnan(summary["combined/chi2"][1])
 
-    found, grids = read_summaries([tmp_path / "s.h5"], tmp_path / "o.h5", None, np.array([True, False, True]))
+    samples = read_samples(_abc(paper_config, tmp_path, null=False))
+    found, grids = samples.summaries, samples.grids
     expected = {"correlation", "cumulative", "counts", "chi2"}
     assert set(found) == expected | ({"mean_z2", "amplitude_correlation"} if "amplitude" in statistics else set())
     for name, item in found.items():
@@ -90,14 +108,13 @@ def test_every_summary_of_bands_and_their_sum(statistics: list[str], paper_confi
 def test_the_null_test_is_summarised_by_the_same_code(paper_config: Config, tmp_path: Path) -> None:
     """Same maps, same summaries; the artifact belongs to the null test, and no sample takes it for its own."""
     settings = stage_settings(paper_config, "summaries")
-    summaries.run(settings, _write(tmp_path, ["delta_r"], N), tmp_path / "s.h5")
-    summaries.run(settings, _write(tmp_path, ["delta_r"], N, null("scans")), tmp_path / "n.h5")
+    run_stage("summaries", settings, tmp_path / "s.h5", scans=_write(tmp_path, ["delta_r"], N))
+    run_stage("null_summaries", settings, tmp_path / "n.h5", scans=_write(tmp_path, ["delta_r"], N, "null_scans"))
     with open_artifact(tmp_path / "s.h5", "summaries") as first, open_artifact(tmp_path / "n.h5") as second:
         assert second.stage == "null_summaries"
         np.testing.assert_array_equal(first.array("combined/counts"), second.array("combined/counts"))
-    summaries.run_observed(settings, _write(tmp_path, ["delta_r"], None), tmp_path / "o.h5")
+    run_stage("observed_summary", settings, tmp_path / "o.h5", observed_scan=_write(tmp_path, ["delta_r"], None))
     with pytest.raises(ArtifactError, match="holds stage 'null_summaries', expected 'summaries'"):
-        read_summaries([tmp_path / "n.h5"], tmp_path / "o.h5", None, np.ones(3, dtype=bool))
-    good = np.array([True, False, True])
-    found, _ = read_summaries([tmp_path / "s.h5"], tmp_path / "o.h5", tmp_path / "n.h5", good)
+        read_samples(_abc(paper_config, tmp_path, null=False, summaries="n.h5"))
+    found = read_samples(_abc(paper_config, tmp_path, null=True)).summaries
     np.testing.assert_array_equal(found["correlation"].null, found["correlation"].samples)  # the failed one is out

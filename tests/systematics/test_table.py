@@ -7,8 +7,8 @@ import pytest
 import yaml
 from rich.console import Console
 
-from warmlens.campaign.settings import stage_digests
 from warmlens.config.file import ConfigError, load_config
+from warmlens.stage_table import stage_digests
 from warmlens.systematics.run import last_words, read_systematics, run, write_overlays
 from warmlens.systematics.table import FAILED, Row, draw_table, print_table, write_table
 

@@ -12,20 +12,11 @@ import numpy as np
 
 from warmlens.artifacts.chain import input_paths
 from warmlens.artifacts.file import Provenance, open_artifact, write_artifact
-from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import STAGES, stage_settings
+from warmlens.campaign.files import chunks, stage_files, stage_inputs
 from warmlens.config.model import Config
 from warmlens.report.result import print_result
-from warmlens.stages import (
-    deflections,
-    halos,
-    mocks,
-    scan_operator,
-    scans,
-    smooth_model,
-    summaries,
-)
-from warmlens.stages.abc import run as abc
+from warmlens.stage_table import STAGES, stage_settings
+from warmlens.stages.job import make_job, run_job
 
 READER = {  # a stage that reads the artifact of each
     "observation": "smooth_model",
@@ -44,7 +35,7 @@ READER = {  # a stage that reads the artifact of each
     "null_summaries": "abc",
     "abc": "result",
 }
-assert READER.keys() == set(STAGES)
+assert READER.keys() == STAGES.keys() - {"exclusion"}
 
 
 def artifact_of(config: Config, stage: str) -> Path:
@@ -57,40 +48,10 @@ def run_stage(config: Config, stage: str, output: Path) -> None:
     if stage == "result":
         print_result(Path(config.results))
         return
-    settings: Any = stage_settings(config, stage)
-
-    def at(name: str) -> Path:
-        return artifact_of(config, name)
-
-    shards = stage_files(config, "scan_operator")
-    lens = (at("observation"), at("smooth_model"))
-    operator = (at("scan_design"), shards, output)
-    work: dict[str, Callable[[], None]] = {
-        "halos": lambda: halos.run(settings, (0, 7), output),
-        "null_mocks": lambda: mocks.run_null(settings, *lens, output),
-        "smooth_model": lambda: smooth_model.run(settings, at("observation"), output),
-        "scan_design": lambda: scan_operator.run_design(settings, *lens, output),
-        "scan_operator": lambda: scan_operator.run(settings, (0, 5), *lens, at("scan_design"), output),
-        "observed_scan": lambda: scans.run_observed(settings, *lens, *operator),
-        "observed_summary": lambda: summaries.run_observed(settings, at("observed_scan"), output),
-        "deflections": lambda: deflections.run(settings, at("halos"), at("observation"), output),
-        "mocks": lambda: mocks.run(settings, at("deflections"), *lens, output),
-        "scans": lambda: scans.run(settings, at("mocks"), *lens, *operator),
-        "summaries": lambda: summaries.run(settings, at("scans"), output),
-        "null_scans": lambda: scans.run(settings, at("null_mocks"), *lens, *operator),
-        "null_summaries": lambda: summaries.run(settings, at("null_scans"), output),
-        "abc": lambda: abc.run(
-            settings,
-            stage_files(config, "summaries"),
-            at("observed_summary"),
-            at("smooth_model"),
-            output,
-            output.with_suffix(".csv"),
-            output.with_suffix(".json"),
-            at("null_summaries"),
-        ),
-    }
-    work[stage]()
+    first = chunks(config)[0] if STAGES[stage].by_sample else None
+    span = {"halos": (0, 7), "scan_operator": (0, 5)}.get(stage, first)
+    inputs = stage_inputs(config, stage, first)
+    run_job(make_job(stage, stage_settings(config, stage), output, inputs, span))
 
 
 def flip(path: Path, place: int) -> None:

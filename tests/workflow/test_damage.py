@@ -15,12 +15,12 @@ import pytest
 from warmlens.artifacts.chain import audit, check_chain
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import STAGES, stage_digests
 from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config
 from warmlens.halos.lens_halo import HaloGenerator
 from warmlens.imaging.noise import NoiseModel
 from warmlens.products.samples import FAILED_HERE, OK
+from warmlens.stage_table import stage_digests
 from warmlens.stages import deflections, scans, summaries
 
 from ..reliability import Outcome, fault
@@ -54,7 +54,7 @@ def config(finished: Project, tmp_path_factory: pytest.TempPathFactory) -> Itera
     os.chdir(before)
 
 
-@pytest.fixture(params=STAGES)
+@pytest.fixture(params=READER)
 def damaged(request: pytest.FixtureRequest, config: Config, finished: Project) -> Iterator[tuple[str, Path]]:
     """A stage and its artifact, which is put back afterwards."""
     path = artifact_of(config, request.param)

@@ -15,8 +15,8 @@ import psutil
 import pytest
 
 from warmlens.artifacts.names import CHUNKED
-from warmlens.campaign.settings import STAGES
 from warmlens.campaign.status import read_campaign
+from warmlens.stage_table import campaign_stages
 
 from ..reliability import Outcome, fault
 from .conftest import BIN, Project
@@ -194,7 +194,7 @@ def test_what_it_says_helps(
 ) -> None:
     project = copy_of()
     config = read_campaign(project.results)
-    for stage in STAGES[:-1]:
+    for stage in campaign_stages(config)[:-1]:
         path = artifact_of(config, stage)
         damage(path)
         path.touch()
@@ -208,7 +208,7 @@ def test_what_it_says_helps(
 def test_what_audit_finds(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
     project = copy_of()
     config = read_campaign(project.results)
-    damaged = [artifact_of(config, stage) for stage in STAGES]
+    damaged = [artifact_of(config, stage) for stage in campaign_stages(config)]
     for path in damaged:
         flip_arrays(path)
     project.snakemake()  # sees nothing, and makes nothing of them
@@ -228,7 +228,7 @@ def test_what_audit_finds(copy_of: CopyOf, finished: Project, outcome: Outcome) 
 def test_deleted(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
     project = copy_of()
     config = read_campaign(project.results)
-    for stage in STAGES:
+    for stage in campaign_stages(config):
         artifact_of(config, stage).unlink()
     project.snakemake()
     outcome.same_digests(project.digests(), finished.digests(), lost="the deleted files, made anew")

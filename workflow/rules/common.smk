@@ -7,31 +7,29 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 
 from warmlens import runtime
-from warmlens.campaign import locks
-from warmlens.artifacts.file import ArtifactError, atomic_path, canonical_json, settings_digest
-from warmlens.campaign.records import check_unrecorded
-from warmlens.config.file import ConfigError, parse_config
-from warmlens.config.yaml import read_yaml
-from warmlens.figures.inputs import drawn_groups, figure_inputs
+from warmlens.artifacts.file import ArtifactError, atomic_path
 from warmlens.artifacts.names import (
     ANSWER_FILES,
     CONFIG,
     CRATE,
-    EXCLUSION_NUMBERS,
-    EXCLUSION_TABLE,
     FIGURE_VERSION,
     MANIFEST,
     MANIFEST_VERSION,
-    NUMBERS,
     REPORT,
     REPORT_VERSION,
-    SINGLE,
-    TABLE,
+    SETTINGS,
 )
-from warmlens.campaign.files import stage_files
 from warmlens.audit.manifest import derived_files
-from warmlens.campaign.settings import campaign_stages, stage_digests, stage_settings
+from warmlens.campaign import locks
+from warmlens.campaign.files import resolve_window, stage_files, stage_inputs
+from warmlens.campaign.records import check_unrecorded
+from warmlens.campaign.settings import write_settings
+from warmlens.config.digest import canonical_json, settings_digest
+from warmlens.config.file import ConfigError, parse_config
+from warmlens.config.yaml import read_yaml
+from warmlens.figures.inputs import drawn_groups, figure_inputs
 from warmlens.products.time_limit import SAMPLE_SECONDS
+from warmlens.stage_table import STAGES, campaign_stages, stage_digests, stage_settings
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -40,7 +38,7 @@ runtime.prepare()
 try:
     for path in workflow.configfiles:
         read_yaml(Path(path))  # refuses what Snakemake lets pass, such as a key given twice
-    CAMPAIGN = parse_config(config)
+    CAMPAIGN = resolve_window(parse_config(config))
 except ConfigError as error:
     raise WorkflowError(f"the configuration has {len(error.problems)} problem(s):\n{error}") from None
 
@@ -58,21 +56,49 @@ def results(name):
     return f"{CAMPAIGN.results}/{name}"
 
 
-def single(stage):
-    return results(SINGLE[stage])
+# What a rule of a stage consists of. The table of stages says what it reads, writes and depends on.
 
 
-def chunk(stage):
-    return results(f"{stage}/chunk-{{start}}-{{stop}}.h5")
+def inputs(stage):
+    def of_job(wildcards):
+        span = (int(wildcards.start), int(wildcards.stop)) if "{span}" in STAGES[stage].output else None
+        return {
+            name: str(paths) if isinstance(paths, Path) else [str(path) for path in paths]
+            for name, paths in stage_inputs(CAMPAIGN, stage, span).items()
+        }
+
+    return of_job
 
 
-def all_chunks(stage):
-    return [str(path) for path in stage_files(CAMPAIGN, stage)]
+def output(stage):
+    return results(STAGES[stage].output.format(span="{start}-{stop}"))
 
 
 def settings(stage):
     # just what changes the numbers of this stage: a change reruns this stage and what depends on it
     return canonical_json(stage_settings(CAMPAIGN, stage).as_dict())
+
+
+def note(folder, stage, kind):
+    # a file for people beside the artifact of a job: logs/halos/0000000-0000250.log
+    name = STAGES[stage].output.format(span="{start}-{stop}").removesuffix(".h5")
+    return results(f"{folder}/{name.replace('/chunk-', '/').replace('/shard-', '/')}.{kind}")
+
+
+def input_words(wildcards, input):
+    pairs = ((name, path) for name, paths in input.items() for path in ([paths] if isinstance(paths, str) else paths))
+    return " ".join(f"--input {name}={shlex.quote(path)}" for name, path in pairs)
+
+
+TIMED = "--sample-seconds {resources.sample_seconds}"
+
+
+def command(stage, *options):
+    row = STAGES[stage]
+    words = [f"warmlens stage {stage} --settings {shlex.quote(results(SETTINGS.format(stage=stage)))}"]
+    words += ["--span {wildcards.start} {wildcards.stop}"] if row.needs_span else []
+    words += ["{params.inputs}"] if row.inputs else []
+    return " ".join([*words, "--output {output[0]:q}", *options, "> {log:q} 2>&1"])
 
 
 def pictures(names):
@@ -81,10 +107,6 @@ def pictures(names):
 
 def unique(paths):
     return list(dict.fromkeys(str(path) for path in paths))
-
-
-def repeated(option, paths):
-    return " ".join(f"--{option} {shlex.quote(str(path))}" for path in paths)
 
 
 if workflow.is_main_process:
@@ -105,12 +127,13 @@ onstart:
         raise WorkflowError(str(error)) from None
     with atomic_path(Path(results(CONFIG))) as temporary:
         temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
+    write_settings(CAMPAIGN)
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 
 
 onsuccess:
     locks.end(Path(), Path(CAMPAIGN.results))
-    if Path(single(ANSWER)).exists():
+    if Path(results(STAGES[ANSWER].output)).exists():
         shell(f"warmlens result {shlex.quote(CAMPAIGN.results)}")
 
 

@@ -1,15 +1,15 @@
 rule deflections:
     input:
-        halos=chunk("halos"),
-        observation=single("observation"),
+        unpack(inputs("deflections")),
     output:
-        ensure(chunk("deflections"), non_empty=True),
+        ensure(output("deflections"), non_empty=True),
     params:
         settings=settings("deflections"),
+        inputs=input_words,
     log:
-        results("logs/deflections/{start}-{stop}.log"),
+        note("logs", "deflections", "log"),
     benchmark:
-        results("benchmarks/deflections/{start}-{stop}.tsv")
+        note("benchmarks", "deflections", "tsv")
     resources:
         mem_mb=1000,
         runtime=60,
@@ -17,5 +17,4 @@ rule deflections:
     message:
         "deflections: samples {wildcards.start} to {wildcards.stop}"
     shell:
-        "warmlens deflections --params {params.settings:q} --halos {input.halos:q}"
-        " --observation {input.observation:q} --output {output:q} --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"
+        command("deflections", TIMED)

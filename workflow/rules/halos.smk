@@ -1,12 +1,12 @@
 rule halos:
     output:
-        ensure(chunk("halos"), non_empty=True),
+        ensure(output("halos"), non_empty=True),
     params:
         settings=settings("halos"),
     log:
-        results("logs/halos/{start}-{stop}.log"),
+        note("logs", "halos", "log"),
     benchmark:
-        results("benchmarks/halos/{start}-{stop}.tsv")
+        note("benchmarks", "halos", "tsv")
     resources:
         mem_mb=1000,
         runtime=60,
@@ -14,5 +14,4 @@ rule halos:
     message:
         "halos: samples {wildcards.start} to {wildcards.stop}"
     shell:
-        "warmlens halos --params {params.settings:q} --span {wildcards.start} {wildcards.stop}"
-        " --output {output:q} --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"
+        command("halos", TIMED)

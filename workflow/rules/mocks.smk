@@ -1,16 +1,15 @@
 rule mocks:
     input:
-        deflections=chunk("deflections"),
-        observation=single("observation"),
-        smooth_model=single("smooth_model"),
+        unpack(inputs("mocks")),
     output:
-        ensure(chunk("mocks"), non_empty=True),
+        ensure(output("mocks"), non_empty=True),
     params:
         settings=settings("mocks"),
+        inputs=input_words,
     log:
-        results("logs/mocks/{start}-{stop}.log"),
+        note("logs", "mocks", "log"),
     benchmark:
-        results("benchmarks/mocks/{start}-{stop}.tsv")
+        note("benchmarks", "mocks", "tsv")
     resources:
         mem_mb=1000,
         runtime=60,
@@ -18,6 +17,4 @@ rule mocks:
     message:
         "mocks: samples {wildcards.start} to {wildcards.stop}"
     shell:
-        "warmlens mocks --params {params.settings:q} --deflections {input.deflections:q}"
-        " --observation {input.observation:q} --smooth-model {input.smooth_model:q}"
-        " --output {output:q} --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"
+        command("mocks", TIMED)

@@ -1,16 +1,16 @@
-# Mocks without substructure: the same steps as any other mock, then each plays the observation.
+# Mocks without substructure: they go through the same steps as any other mock, then each plays the observation.
 rule null_mocks:
     input:
-        observation=single("observation"),
-        smooth_model=single("smooth_model"),
+        unpack(inputs("null_mocks")),
     output:
-        ensure(single("null_mocks"), non_empty=True),
+        ensure(output("null_mocks"), non_empty=True),
     params:
         settings=settings("null_mocks"),
+        inputs=input_words,
     log:
-        results("logs/null/mocks.log"),
+        note("logs", "null_mocks", "log"),
     benchmark:
-        results("benchmarks/null/mocks.tsv")
+        note("benchmarks", "null_mocks", "tsv")
     resources:
         mem_mb=1000,
         runtime=60,
@@ -18,54 +18,46 @@ rule null_mocks:
     message:
         "null test: mocks without substructure"
     shell:
-        "warmlens null-mocks --params {params.settings:q} --observation {input.observation:q}"
-        " --smooth-model {input.smooth_model:q} --output {output:q}"
-        " --sample-seconds {resources.sample_seconds} > {log:q} 2>&1"
+        command("null_mocks", TIMED)
 
 
 rule null_scans:
     input:
-        mocks=single("null_mocks"),
-        observation=single("observation"),
-        smooth_model=single("smooth_model"),
-        design=single("scan_design"),
-        shards=all_chunks("scan_operator"),
+        unpack(inputs("null_scans")),
     output:
-        ensure(single("null_scans"), non_empty=True),
+        ensure(output("null_scans"), non_empty=True),
     params:
         settings=settings("null_scans"),
-        shards=lambda wildcards, input: repeated("shard", input.shards),
+        inputs=input_words,
     log:
-        results("logs/null/scans.log"),
+        note("logs", "null_scans", "log"),
     benchmark:
-        results("benchmarks/null/scans.tsv")
+        note("benchmarks", "null_scans", "tsv")
     resources:
         mem_mb=3000,
         runtime=120,
     message:
         "null test: scans"
     shell:
-        "warmlens null-scans --params {params.settings:q} --mocks {input.mocks:q}"
-        " --observation {input.observation:q} --smooth-model {input.smooth_model:q}"
-        " --design {input.design:q} {params.shards} --output {output:q} > {log:q} 2>&1"
+        command("null_scans")
 
 
 rule null_summaries:
     input:
-        scans=single("null_scans"),
+        unpack(inputs("null_summaries")),
     output:
-        ensure(single("null_summaries"), non_empty=True),
+        ensure(output("null_summaries"), non_empty=True),
     params:
         settings=settings("null_summaries"),
+        inputs=input_words,
     log:
-        results("logs/null/summaries.log"),
+        note("logs", "null_summaries", "log"),
     benchmark:
-        results("benchmarks/null/summaries.tsv")
+        note("benchmarks", "null_summaries", "tsv")
     resources:
         mem_mb=1000,
         runtime=30,
     message:
         "null test: summaries"
     shell:
-        "warmlens null-summaries --params {params.settings:q} --scans {input.scans:q}"
-        " --output {output:q} > {log:q} 2>&1"
+        command("null_summaries")

@@ -1,8 +1,7 @@
 def observation_files():
     if CAMPAIGN.observation.kind == "simulated":
         return []
-    from warmlens.products.images import input_files
-    from warmlens.products.images import artifact_path
+    from warmlens.products.images import artifact_path, input_files
 
     try:
         if CAMPAIGN.observation.kind == "artifact":
@@ -17,17 +16,17 @@ rule observation:
     input:
         observation_files(),
     output:
-        ensure(single("observation"), non_empty=True),
+        ensure(output("observation"), non_empty=True),
     params:
         settings=settings("observation"),
     log:
-        results("logs/observation.log"),
+        note("logs", "observation", "log"),
     benchmark:
-        results("benchmarks/observation.tsv")
+        note("benchmarks", "observation", "tsv")
     resources:
         mem_mb=2000,
         runtime=10,
     message:
         "observation: read, simulate or copy the image"
     shell:
-        "warmlens observation --params {params.settings:q} --output {output:q} > {log:q} 2>&1"
+        command("observation")

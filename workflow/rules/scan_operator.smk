@@ -1,15 +1,15 @@
 rule scan_design:
     input:
-        observation=single("observation"),
-        smooth_model=single("smooth_model"),
+        unpack(inputs("scan_design")),
     output:
-        ensure(single("scan_design"), non_empty=True),
+        ensure(output("scan_design"), non_empty=True),
     params:
         settings=settings("scan_design"),
+        inputs=input_words,
     log:
-        results("logs/scan_design.log"),
+        note("logs", "scan_design", "log"),
     benchmark:
-        results("benchmarks/scan_design.tsv")
+        note("benchmarks", "scan_design", "tsv")
     resources:
         mem_mb=3000,
         runtime=30,
@@ -17,23 +17,21 @@ rule scan_design:
     message:
         "scan operator: what all positions share"
     shell:
-        "warmlens scan-design --params {params.settings:q} --observation {input.observation:q}"
-        " --smooth-model {input.smooth_model:q} --output {output:q} > {log:q} 2>&1"
+        command("scan_design")
 
 
 rule scan_operator:
     input:
-        observation=single("observation"),
-        smooth_model=single("smooth_model"),
-        design=single("scan_design"),
+        unpack(inputs("scan_operator")),
     output:
-        ensure(results("scan_operator/shard-{start}-{stop}.h5"), non_empty=True),
+        ensure(output("scan_operator"), non_empty=True),
     params:
         settings=settings("scan_operator"),
+        inputs=input_words,
     log:
-        results("logs/scan_operator/{start}-{stop}.log"),
+        note("logs", "scan_operator", "log"),
     benchmark:
-        results("benchmarks/scan_operator/{start}-{stop}.tsv")
+        note("benchmarks", "scan_operator", "tsv")
     resources:
         mem_mb=3000,
         runtime=60,
@@ -41,6 +39,4 @@ rule scan_operator:
     message:
         "scan operator: positions {wildcards.start} to {wildcards.stop}"
     shell:
-        "warmlens scan-operator --params {params.settings:q} --span {wildcards.start} {wildcards.stop}"
-        " --observation {input.observation:q} --smooth-model {input.smooth_model:q}"
-        " --design {input.design:q} --output {output:q} > {log:q} 2>&1"
+        command("scan_operator")

@@ -1,40 +1,40 @@
 rule observed_summary:
     input:
-        observed_scan=single("observed_scan"),
+        unpack(inputs("observed_summary")),
     output:
-        ensure(single("observed_summary"), non_empty=True),
+        ensure(output("observed_summary"), non_empty=True),
     params:
         settings=settings("observed_summary"),
+        inputs=input_words,
     log:
-        results("logs/observed_summary.log"),
+        note("logs", "observed_summary", "log"),
     benchmark:
-        results("benchmarks/observed_summary.tsv")
+        note("benchmarks", "observed_summary", "tsv")
     resources:
         mem_mb=1000,
         runtime=10,
     message:
         "summary of the observation"
     shell:
-        "warmlens observed-summary --params {params.settings:q}"
-        " --observed-scan {input.observed_scan:q} --output {output:q} > {log:q} 2>&1"
+        command("observed_summary")
 
 
 rule summaries:
     input:
-        scans=chunk("scans"),
+        unpack(inputs("summaries")),
     output:
-        ensure(chunk("summaries"), non_empty=True),
+        ensure(output("summaries"), non_empty=True),
     params:
         settings=settings("summaries"),
+        inputs=input_words,
     log:
-        results("logs/summaries/{start}-{stop}.log"),
+        note("logs", "summaries", "log"),
     benchmark:
-        results("benchmarks/summaries/{start}-{stop}.tsv")
+        note("benchmarks", "summaries", "tsv")
     resources:
         mem_mb=1000,
         runtime=30,
     message:
         "summaries: samples {wildcards.start} to {wildcards.stop}"
     shell:
-        "warmlens summaries --params {params.settings:q} --scans {input.scans:q}"
-        " --output {output:q} > {log:q} 2>&1"
+        command("summaries")

@@ -17,9 +17,9 @@ from warmlens.artifacts.file import (
     input_digest,
     open_artifact,
     reading,
-    settings_digest,
 )
 from warmlens.artifacts.names import results_folder
+from warmlens.config.digest import settings_digest
 from warmlens.config.observation import FITS_FILES
 
 Verdict = Literal["ok", "missing", "damaged", "altered", "settings", "inputs", "manifest"]

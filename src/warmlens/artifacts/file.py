@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
-import json
 import os
 import shutil
 import time
@@ -34,6 +33,7 @@ from warmlens.artifacts.checks import (
     texts_attribute,
 )
 from warmlens.artifacts.code_version import code_commit
+from warmlens.config.digest import canonical_json, settings_digest
 
 SCHEMA_VERSION = 2  # 1 had text of variable length
 _LIBVER = ("v110", "v110")
@@ -168,16 +168,6 @@ def reading(path: Path, what: str = "the file") -> Iterator[None]:
         raise ArtifactError(
             f"{path}: {what} is damaged, or is not what its stage writes ({reason}); {_REMEDY}"
         ) from error
-
-
-def settings_digest(settings: Mapping[str, Any]) -> str:
-    """SHA-256 of settings in canonical JSON."""
-    return hashlib.sha256(canonical_json(settings).encode()).hexdigest()
-
-
-def canonical_json(value: Mapping[str, Any]) -> str:
-    """JSON with sorted keys and no blanks, the same for equal content."""
-    return json.dumps(value, sort_keys=True, separators=(",", ":"))
 
 
 def write_artifact(

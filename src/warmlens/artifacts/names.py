@@ -4,20 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-SINGLE = {
-    "observation": "observation.h5",
-    "smooth_model": "smooth_model.h5",
-    "scan_design": "scan_operator/design.h5",
-    "observed_scan": "observed_scan.h5",
-    "observed_summary": "observed_summary.h5",
-    "null_mocks": "null/mocks.h5",
-    "null_scans": "null/scans.h5",
-    "null_summaries": "null/summaries.h5",
-    "abc": "abc.h5",
-    "exclusion": "exclusion.h5",
-}
-CHUNKED = ("halos", "deflections", "mocks", "scans", "summaries")
-NULL = ("null_mocks", "null_scans", "null_summaries")
+from warmlens.stage_table import STAGES
+
+SINGLE = {name: stage.output for name, stage in STAGES.items() if not (stage.by_sample or stage.by_position)}
+CHUNKED = tuple(name for name, stage in STAGES.items() if stage.by_sample)
+NULL = tuple(name for name, stage in STAGES.items() if stage.of_null_test)
 FIGURE_GROUPS = {  # one job each: loading what draws takes longer than to draw
     "lens": ("smooth_model", "psf", "scan_plane"),
     "samples": ("halo_maps", "deflection_maps", "mocks", "delta_r", "correlation"),
@@ -26,6 +17,7 @@ FIGURE_GROUPS = {  # one job each: loading what draws takes longer than to draw
 FIGURES = tuple(name for names in FIGURE_GROUPS.values() for name in names)
 FIGURE_VERSION = 5  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
 CONFIG = "config.json"
+SETTINGS = "settings/{stage}.json"  # what the jobs of a stage read
 TABLE = "abc.csv"
 NUMBERS = "abc.json"
 REPORT = "report.html"
@@ -45,4 +37,4 @@ def sample_page(sample: int) -> str:
 
 def results_folder(path: Path, stage: str) -> Path:
     """Results folder that the artifact `path` of a stage lies in."""
-    return path.parents[SINGLE.get(stage, f"{stage}/chunk").count("/")]
+    return path.parents[STAGES[stage].output.count("/") if stage in STAGES else 1]

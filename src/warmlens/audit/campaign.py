@@ -12,8 +12,8 @@ from warmlens.artifacts.chain import Finding, Record, examine
 from warmlens.artifacts.file import ArtifactError, file_digest
 from warmlens.artifacts.names import CHUNKED, MANIFEST, SINGLE
 from warmlens.audit.manifest import ManifestFile, artifact_files, derived_files, read_manifest
-from warmlens.campaign.settings import stage_digests, stage_settings
 from warmlens.config.model import Config
+from warmlens.stage_table import stage_digests, stage_settings
 
 _NONE = "none"
 _SHOWN = 3  # settings that differ, by name

@@ -24,10 +24,10 @@ from warmlens.artifacts.names import (
     SINGLE,
 )
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import campaign_stages, stage_digests
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.model import Config
 from warmlens.figures.inputs import drawn_figures
+from warmlens.stage_table import campaign_stages, stage_digests
 
 LIBRARIES = ("astropy", "colossus", "h5py", "lenstronomy", "numba", "numpy", "pandas", "scipy", "snakemake")
 _MAX_BYTES = 2**26

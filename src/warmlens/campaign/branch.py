@@ -11,11 +11,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from warmlens.artifacts.chain import input_paths
-from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest, open_artifact, settings_digest
+from warmlens.artifacts.file import (
+    ArtifactError,
+    atomic_path,
+    input_digest,
+    open_artifact,
+)
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import campaign_stages, stage_digests, stage_settings
+from warmlens.config.digest import settings_digest
 from warmlens.config.model import Config
+from warmlens.stage_table import campaign_stages, stage_digests, stage_settings
 
 log = logging.getLogger(__name__)
 
@@ -150,14 +156,12 @@ def _observe(config: Config, base: Path) -> int:
 
     The path of its file is recorded relative to the artifact, so that this cannot just be linked.
     """
-    from warmlens.stages import observation
-    from warmlens.stages.settings import ObservationSettings
+    from warmlens.stages.job import make_job, run_job  # what reads images takes a second to load
 
     if config.observation.kind == "simulated" or not (base / SINGLE["observation"]).is_file():
         return 0
-    settings = stage_settings(config, "observation")
-    assert isinstance(settings, ObservationSettings)
-    observation.run(settings, Path(config.results) / SINGLE["observation"])
+    output = Path(config.results) / SINGLE["observation"]
+    run_job(make_job("observation", stage_settings(config, "observation"), output))
     return 1
 
 

@@ -1,24 +1,56 @@
-"""Where every artifact of a campaign lies under its results folder."""
+"""Where every artifact of a campaign lies under its results folder, and which of them a stage reads."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
-from warmlens.artifacts.names import CHUNKED, NULL, SINGLE
 from warmlens.config.model import MAX_IN_FILE_NAMES, MAX_PORTIONS, Config
 from warmlens.config.types import ConfigError
 from warmlens.sampling import Span, chunk_spans, shard_spans, span_name
 from warmlens.scan.raster import Raster
+from warmlens.stage_table import STAGES, stage_settings
+from warmlens.stages.job import Job, make_job
+
+
+def resolve_window(config: Config) -> Config:
+    """Return the configuration with the window of the scan: as given, or around the unmasked pixels of all bands.
+
+    Raises
+    ------
+    ConfigError
+        If the images, which have the masks, cannot be read.
+    """
+    scan = config.scan
+    if scan.window_arcsec is not None:
+        return config
+    from warmlens.products.images import planned_mask  # astropy takes a second to load
+
+    try:
+        grid, mask = planned_mask(config.observation)
+        raster = Raster.around(mask, grid, scan.step_arcsec)
+    except ConfigError:
+        raise
+    except ValueError as error:
+        raise ConfigError([str(error)]) from None
+    window = {"window_arcsec": (raster.width, raster.height), "center": raster.center}
+    return config.model_copy(update={"scan": scan.model_copy(update=window)})
 
 
 def chunks(config: Config) -> list[Span]:
-    """Spans of samples, one a chunk."""
+    """Return the spans of samples, one per chunk."""
     return chunk_spans(config.campaign.n_samples, config.campaign.chunk_size)
 
 
 def shards(config: Config) -> list[Span]:
-    """Spans of scan positions, one a shard of the operator."""
-    n_positions, size = _n_positions(config), config.scan.shard_size
+    """Return the spans of scan positions, one per shard of the operator."""
+    scan = config.scan
+    if scan.window_arcsec is None:
+        raise ConfigError(
+            ["scan.window_arcsec: null until the campaign starts, which sets it from the images; run it"]
+        )
+    n_positions, size = Raster(*scan.window_arcsec, scan.step_arcsec, scan.center).n_positions, scan.shard_size
     if n_positions > MAX_IN_FILE_NAMES or n_positions > size * MAX_PORTIONS:
         raise ConfigError(
             [
@@ -29,26 +61,41 @@ def shards(config: Config) -> list[Span]:
     return shard_spans(n_positions, size)
 
 
-def _n_positions(config: Config) -> int:
-    scan = config.scan
-    if scan.window_arcsec is not None:
-        return Raster(*scan.window_arcsec, scan.step_arcsec, scan.center).n_positions
-    # Without a window the raster follows the masks, which are in the images themselves.
-    from warmlens.products.images import planned_mask
-
-    grid, mask = planned_mask(config.observation)
-    return Raster.around(mask, grid, scan.step_arcsec).n_positions
+def stage_file(config: Config, name: str, span: Span | None = None) -> Path:
+    """Return the artifact of a stage, of those in spans the one of `span`."""
+    return Path(config.results) / STAGES[name].output.format(span=span_name(span) if span else "")
 
 
-def stage_files(config: Config, stage: str) -> list[Path]:
-    """All artifacts of one stage; none of a null test that is switched off."""
-    root = Path(config.results)
-    if stage in NULL and not config.null_test.n_mocks:
+def stage_files(config: Config, name: str) -> list[Path]:
+    """Return all artifacts of a stage; none of a null test that is switched off."""
+    stage = STAGES[name]
+    if stage.of_null_test and not config.null_test.n_mocks:
         return []
-    if stage in SINGLE:
-        return [root / SINGLE[stage]]
-    if stage == "scan_operator":
-        return [root / f"scan_operator/shard-{span_name(span)}.h5" for span in shards(config)]
-    if stage in CHUNKED:
-        return [root / f"{stage}/chunk-{span_name(span)}.h5" for span in chunks(config)]
-    raise ValueError(f"unknown stage {stage!r}")
+    if stage.by_sample or stage.by_position:
+        return [stage_file(config, name, span) for span in (chunks if stage.by_sample else shards)(config)]
+    return [stage_file(config, name)]
+
+
+def stage_inputs(config: Config, name: str, span: Span | None = None) -> dict[str, Path | Sequence[Path]]:
+    """Return what a stage reads in a campaign, by the names of its row; a list where it reads several.
+
+    Parameters
+    ----------
+    span
+        Samples or positions of its artifact, if it has these.
+    """
+    stage = STAGES[name]
+    inputs: dict[str, Path | Sequence[Path]] = {}
+    for key, source in stage.inputs.items():
+        files = stage_files(config, source)
+        if stage.reads_all_of(source):
+            inputs[key] = files
+        elif files:
+            inputs[key] = stage_file(config, source, span)
+    return inputs
+
+
+def campaign_job(config: Config, name: str, span: Span | None = None, output: Path | None = None) -> Job[Any]:
+    """Return the run of a stage on the artifacts of a campaign; `output` is another place to write to."""
+    place = stage_file(config, name, span) if output is None else output
+    return make_job(name, stage_settings(config, name), place, stage_inputs(config, name, span), span)

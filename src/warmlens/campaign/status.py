@@ -13,9 +13,9 @@ from rich.table import Table
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.artifacts.names import CHUNKED, CONFIG, NULL
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import campaign_stages
 from warmlens.config.file import read_stored
 from warmlens.config.model import Config
+from warmlens.stage_table import campaign_stages
 from warmlens.text import duration
 
 _SAMPLED = (*CHUNKED, *NULL)

@@ -161,7 +161,7 @@ def audit(
     from warmlens.campaign.status import read_campaign
     from warmlens.cli.progress import progress
 
-    config = _load(configfile) if configfile else read_campaign(results)
+    config = _load_campaign(configfile) if configfile else read_campaign(results)
     config = config.model_copy(update={"results": str(results)})
     with progress("audit", [*artifact_files(config), *derived_files(config)]) as done:
         found = audit_campaign(config, done)
@@ -205,7 +205,7 @@ def branch(
     from warmlens.campaign.branch import branch as take_over
     from warmlens.campaign.snakemake import snakemake_command
 
-    config = _load(configfile)
+    config = _load_campaign(configfile)
     stages = take_over(base, config)
     for stage in stages:
         left = stage.n_files - stage.n_linked - stage.n_there
@@ -240,11 +240,12 @@ def systematics(
 @app.command()
 def validate(configfile: ConfigFiles = None) -> None:
     """Check config.yaml, overlays and the images that they name: one line per problem."""
-    config = _load(configfile)
     from warmlens.campaign.files import chunks, shards
     from warmlens.campaign.preflight import check_observation
 
-    for line in check_observation(config):
+    lines = check_observation(_load(configfile))
+    config = _load_campaign(configfile)
+    for line in lines:
         typer.echo(line)
     typer.echo(
         f"valid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
@@ -257,10 +258,10 @@ def params(
     stage: Annotated[str, typer.Argument(help="Name of the stage.")], configfile: ConfigFiles = None
 ) -> None:
     """Print the settings that the workflow hands to a stage, for running it by hand."""
-    from warmlens.artifacts.file import canonical_json
-    from warmlens.campaign.settings import stage_settings
+    from warmlens.config.digest import canonical_json
+    from warmlens.stage_table import stage_settings
 
-    typer.echo(canonical_json(stage_settings(_load(configfile), stage).as_dict()))
+    typer.echo(canonical_json(stage_settings(_load_campaign(configfile), stage).as_dict()))
 
 
 @app.command()
@@ -282,6 +283,13 @@ def _load(overlays: list[Path] | None) -> Config:
     return load_config([Path("config.yaml"), *(overlays or [])])
 
 
+def _load_campaign(overlays: list[Path] | None) -> Config:
+    """Read the configuration as a campaign starts with it: with the window of the scan."""
+    from warmlens.campaign.files import resolve_window
+
+    return resolve_window(_load(overlays))
+
+
 def main() -> None:
     """Run the command line; errors of the user or of an input end with a message, not with a traceback."""
     runtime.prepare()  # before anything numerical is imported
@@ -291,7 +299,7 @@ def main() -> None:
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S")
     try:
-        app()
+        app(stages.translate(sys.argv[1:]))
     except (ConfigError, ArtifactError, LockedError) as error:
         sys.exit(f"warmlens: {error}")
     except ValueError as error:

@@ -8,19 +8,26 @@ import reprlib
 import string
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
 from warmlens.config.model import Config
-from warmlens.config.types import ConfigError, plain_path
+from warmlens.config.types import Block, ConfigError, plain_path
 from warmlens.config.yaml import read_yaml
+
+AnyBlock = TypeVar("AnyBlock", bound=Block)
 
 
 def parse_config(raw: Mapping[str, Any]) -> Config:
     """Validate a mapping; raise `ConfigError` with one line per problem, each naming key, value and range."""
+    return parse_block(Config, raw)
+
+
+def parse_block(kind: type[AnyBlock], raw: Mapping[str, Any]) -> AnyBlock:
+    """Validate a mapping as a block of the configuration; raise `ConfigError` as `parse_config` does."""
     try:
-        return Config.model_validate(dict(raw))
+        return kind.model_validate(dict(raw))
     except ValidationError as error:
         raise ConfigError([_problem(item) for item in error.errors()]) from None
 

@@ -10,9 +10,9 @@ from warmlens.artifacts.chain import check_chains
 from warmlens.artifacts.file import ArtifactError
 from warmlens.artifacts.names import FIGURE_GROUPS, SINGLE
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import campaign_stages, stage_digests
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.model import Config
+from warmlens.stage_table import campaign_stages, stage_digests
 
 log = logging.getLogger(__name__)
 

@@ -8,12 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from warmlens.artifacts.file import Artifact, Dataset
-from warmlens.halos.lens_halo import (
-    MASS_BINS,
-    VMAX_BINS,
-    HaloRealization,
-    Subhalos,
-)
+from warmlens.halos.lens_halo import MASS_BINS, VMAX_BINS, HaloRealization, Subhalos
 
 # unit and description of each subhalo column
 COLUMNS = {
@@ -29,30 +24,25 @@ COLUMNS = {
     "x_arcsec": ("arcsec", "position, to the West"),
     "y_arcsec": ("arcsec", "position, to the North"),
 }
-
-
 _COUNTS = {
-    "n_accreted": "subhaloes accreted above the resolution",
+    "n_accreted": "subhalos accreted above the resolution",
     "n_friction": "of these, sunk by dynamical friction",
     "n_stripped_below": "of these, stripped below the lowest bound mass",
     "n_surviving": "of these, left in the whole halo",
     "tree_steps": "steps of the trunk",
 }
-
-
 _NUMBERS = {
-    "f_sub": "mass fraction of all surviving subhaloes",
+    "f_sub": "mass fraction of all surviving subhalos",
     "z_half": "redshift of half the final mass",
 }
-
-
 _FUNCTIONS = {
     "cumulative_mass_function": (MASS_BINS, "dex(Msun)"),
     "cumulative_vmax_function": (VMAX_BINS, "km / s"),
 }
 
 
-def _check_finite(halo: HaloRealization) -> None:
+def check_finite(halo: HaloRealization) -> None:
+    """Raise `FloatingPointError` that names the first number of a halo that is not finite."""
     numbers = {
         **{name: getattr(halo.subhalos, name) for name in COLUMNS},
         **{name: getattr(halo, name) for name in (*_COUNTS, *_NUMBERS, *_FUNCTIONS)},
@@ -62,14 +52,14 @@ def _check_finite(halo: HaloRealization) -> None:
             raise FloatingPointError(f"{name} of the halo is not finite")
 
 
-def _datasets(realizations: Sequence[HaloRealization | None]) -> dict[str, Dataset]:
-    """Subhaloes in CSR layout and the whole-halo statistics; nothing (0 or NaN) for failed samples."""
+def halo_datasets(realizations: Sequence[HaloRealization | None]) -> dict[str, Dataset]:
+    """Subhalos in CSR layout and the whole-halo statistics; nothing (0 or NaN) for failed samples."""
     in_field = [r.subhalos if r else _NO_SUBHALOS for r in realizations]
     sizes = [len(item.m_bound) for item in in_field]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
     datasets = {
         "subhalos/offsets": Dataset(
-            offsets, "", ("sample edge",), "subhaloes of row i are offsets[i]:offsets[i + 1]"
+            offsets, "", ("sample edge",), "subhalos of row i are offsets[i]:offsets[i + 1]"
         )
     }
     for name, (unit, description) in COLUMNS.items():
@@ -83,7 +73,7 @@ def _datasets(realizations: Sequence[HaloRealization | None]) -> dict[str, Datas
         datasets[f"halo/{name}"] = Dataset(values, "", ("sample",), description)
     for name, (bins, unit) in _FUNCTIONS.items():
         rows = np.array([getattr(r, name) if r else np.full(len(bins), np.nan) for r in realizations])
-        datasets[f"halo/{name}"] = Dataset(rows, "", ("sample", "bin"), "surviving subhaloes above each bin value")
+        datasets[f"halo/{name}"] = Dataset(rows, "", ("sample", "bin"), "surviving subhalos above each bin value")
         datasets[f"halo/{name}_bins"] = Dataset(np.asarray(bins), unit, ("bin",), "the bin values")
     return datasets
 
@@ -95,6 +85,6 @@ _NO_SUBHALOS = Subhalos(**{field.name: _EMPTY for field in dataclasses.fields(Su
 
 
 def read_subhalos(halos: Artifact, row: int) -> Subhalos:
-    """Subhaloes in the field of one sample."""
+    """Subhalos in the field of one sample."""
     start, stop = halos.array("subhalos/offsets", slice(row, row + 2))
     return Subhalos(**{name: halos.array(f"subhalos/{name}", slice(start, stop)) for name in COLUMNS})

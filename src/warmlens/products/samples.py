@@ -21,17 +21,6 @@ log = logging.getLogger(__name__)
 OK, FAILED_HERE, FAILED_UPSTREAM = 0, 1, 2
 _REPORT_SECONDS = 10.0
 _PARAMETERS = ("sample_id", "m_th_kev", "log10_m_halo_msun")
-_NULL = "null_"  # a stage of the null test is called as the one whose work it does, with this before
-
-
-def null(stage: str) -> str:
-    """Stage of the null test that does the work of `stage`."""
-    return _NULL + stage
-
-
-def after(artifact: Artifact, stage: str) -> str:
-    """`stage`, or that of the null test if the artifact that it works on is of the null test."""
-    return null(stage) if artifact.stage.startswith(_NULL) else stage
 
 
 @dataclass

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact, settings_digest
+from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
 from warmlens.artifacts.names import CONFIG, EXCLUSION_NUMBERS
-from warmlens.campaign.settings import stage_digests
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.campaign.status import read_campaign
+from warmlens.config.digest import settings_digest
 from warmlens.config.model import Config
+from warmlens.stage_table import stage_digests
 
 
 def read_inferred(results: Path) -> Config:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from warmlens.artifacts.file import Artifact, open_artifact, settings_digest
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.artifacts.names import (
     CHUNKED,
     CONFIG,
@@ -20,6 +20,7 @@ from warmlens.artifacts.names import (
 )
 from warmlens.campaign.files import chunks, stage_files
 from warmlens.campaign.snakemake import recorded_results, remaking_command
+from warmlens.config.digest import settings_digest
 from warmlens.config.model import Config
 from warmlens.inference.bound import LEVELS
 from warmlens.inference.calibration import MASS_BINS_KEV

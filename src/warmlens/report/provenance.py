@@ -12,8 +12,8 @@ from warmlens.artifacts.chain import check_chain
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import campaign_stages, stage_digests
 from warmlens.config.model import Config
+from warmlens.stage_table import campaign_stages, stage_digests
 
 
 @dataclass(frozen=True)

@@ -3,75 +3,59 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import logging
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from warmlens import __version__
-from warmlens.artifacts.chain import check_chains
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, atomic_path, write_artifact
+from warmlens.artifacts.file import ArtifactError, Dataset
 from warmlens.inference.acceptance import Acceptance, accept
 from warmlens.inference.calibration import CONFIDENCE, clopper_pearson
 from warmlens.inference.checks import cloud_check
 from warmlens.inference.exclusion import LEVEL, MAX_RATIO, Exclusion, exclusion
-from warmlens.inference.summary_sets import Summary, kinds_of, learned_points, points
+from warmlens.inference.summary_sets import kinds_of, learned_points, points
 from warmlens.inference.table import Table
 from warmlens.sampling import stream
-from warmlens.stages.abc.numbers import plain
-from warmlens.stages.abc.tables import read_summaries, usable_table
-from warmlens.stages.settings import ExclusionSettings
-from warmlens.types import BoolArray, FloatArray
+from warmlens.stage_table import ExclusionSettings
+from warmlens.stages.abc.numbers import to_json_types
+from warmlens.stages.abc.tables import Samples, read_samples, write_answer
+from warmlens.stages.job import Job
+from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
 
 
-def run(
-    settings: ExclusionSettings,
-    summaries: Sequence[Path],
-    observed_summary: Path,
-    smooth_model: Path,
-    output: Path,
-    table_csv: Path,
-    numbers_json: Path,
-) -> None:
+def run(job: Job[ExclusionSettings]) -> None:
     """Write the counts on the nodes, what they exclude, and the table of samples."""
-    inputs = {"observed_summary": observed_summary, "smooth_model": smooth_model}
-    inputs |= {f"summaries/{path.stem}": path for path in summaries}
-    provenance = Provenance("exclusion", settings.as_dict(), inputs, seed_key=f"{settings.seed}/exclusion")
-    check_chains(inputs.values(), settings.upstream)
-    table, good, upstream_warnings = usable_table(
-        summaries, smooth_model, settings.n_samples, settings.abc.max_failed_fraction
-    )
-    samples = _samples(settings, table[good], *read_summaries(summaries, observed_summary, None, good))
-    distances = samples.distances()
-    block = settings.abc
+    settings, block = job.settings, job.settings.abc
+    samples = read_samples(job)
+    table = _headline_table(settings, samples)
+    distances = table.distances()
     rng = stream(settings.seed, "exclusion/ties", 0)
     try:
-        acceptance = accept(distances, block.acceptance, block.fraction, samples.sample_id, rng)
-        found = exclusion(
-            samples.m_kev,
-            samples.log10_mass,
+        acceptance = accept(distances, block.acceptance, block.fraction, table.sample_id, rng)
+        counts = exclusion(
+            table.m_kev,
+            table.log10_mass,
             acceptance.accepted,
             np.array(settings.nodes.m_th_kev),
             np.array(settings.nodes.log10_m_halo_msun),
         )
     except ValueError as error:
         raise ArtifactError(f"the grid excludes nothing: {error}") from error
-    cloud = cloud_check(samples)
-    warnings = [*cloud.warnings, *found.warnings, *upstream_warnings]
+    cloud = cloud_check(table)
+    warnings = [*cloud.warnings, *counts.warnings, *samples.warnings]
     if acceptance.n_tied:
         warnings.append(f"{acceptance.n_tied} samples share the distance at the cut")
     for warning in warnings:
         log.warning(warning)
-    metadata = plain(
+    last = counts.excluded_up_to
+    metadata = to_json_types(
         {
-            "n_samples": len(table),
-            "n_failed": int((~good).sum()),
+            "n_samples": len(samples.table),
+            "n_failed": int((~samples.good).sum()),
             "summaries": block.summaries,
             "distance": block.distance,
             "acceptance": acceptance.rule,
@@ -84,125 +68,95 @@ def run(
             "confidence": CONFIDENCE,
             "prior": "uniform on the nodes",
             "halo_masses": [
-                {**dataclasses.asdict(item), "excluded_at": item.excluded_at} for item in found.halo_masses
+                {**dataclasses.asdict(halo), "excluded_at": halo.excluded_at} for halo in counts.halo_masses
             ],
-            "excluded_up_to_log10_m_halo_msun": (
-                None if found.excluded_up_to is None else found.excluded_up_to.log10_m_halo_msun
-            ),
-            "statement": statement(found),
+            "excluded_up_to_log10_m_halo_msun": None if last is None else last.log10_m_halo_msun,
+            "statement": statement(counts),
             "nearest_neighbour_percentile": cloud.percentile,
             "warnings": warnings,
         }
     )
-    nodes = _nodes(found, settings)
-    arrays = {
-        **_node_datasets(found, settings),
-        **_table_datasets(table, good, distances, acceptance, samples.kinds),
-    }
-    digest = write_artifact(output, provenance, arrays, metadata)
-    with atomic_path(table_csv) as temporary:
-        nodes.to_csv(temporary, index=False)
-    with atomic_path(numbers_json) as temporary:
-        whole = {"package_version": __version__, "artifact": output.name, "artifact_digest": digest, **metadata}
-        whole["nodes"] = nodes.to_dict(orient="records")
-        temporary.write_text(json.dumps(whole, indent=2, allow_nan=False) + "\n")
+    nodes = _nodes(counts, settings)
+    datasets = _node_datasets(counts, settings) | _table_datasets(samples, distances, acceptance, table.kinds)
+    write_answer(job, datasets, metadata, nodes, nodes=nodes.to_dict(orient="records"))
 
 
-def statement(found: Exclusion) -> str:
-    """What may be said about the halo mass, counting errors included."""
-    last = found.excluded_up_to
-    if last is None:
-        single = [item for item in found.halo_masses if item.excluded]
-        if not single:
-            return f"no halo mass is excluded at {100 * (1 - LEVEL):.2f}%"
-        names = ", ".join(
-            f"10^{item.log10_m_halo_msun:g} Msun at {100 * item.excluded_at:.1f}%" for item in single
+def statement(counts: Exclusion) -> str:
+    """Return what may be said about the halo mass, counting errors included."""
+    last = counts.excluded_up_to
+    if last is not None:
+        return (
+            f"halo masses up to 10^{last.log10_m_halo_msun:g} Msun are excluded at "
+            f"{100 * (1.0 - last.cumulative_interval[1]):.1f}%, all of them together"
         )
-        return f"halo mass excluded: {names}"
-    return (
-        f"halo masses up to 10^{last.log10_m_halo_msun:g} Msun are excluded at "
-        f"{100 * (1.0 - last.cumulative_interval[1]):.1f}%, all of them together"
-    )
+    excluded = [halo for halo in counts.halo_masses if halo.excluded]
+    if not excluded:
+        return f"no halo mass is excluded at {100 * (1 - LEVEL):.2f}%"
+    names = ", ".join(f"10^{halo.log10_m_halo_msun:g} Msun at {100 * halo.excluded_at:.1f}%" for halo in excluded)
+    return f"halo mass excluded: {names}"
 
 
-def _samples(
-    settings: ExclusionSettings,
-    table: pd.DataFrame,
-    summaries: Mapping[str, Summary],
-    grids: Mapping[str, FloatArray],
-) -> Table:
-    """The good samples as points whose squared distance is the one that the settings ask for."""
+def _headline_table(settings: ExclusionSettings, samples: Samples) -> Table:
+    """Return the good samples as points whose squared distance is the one that the settings ask for."""
     block = settings.abc
     try:
-        known = points(summaries, grids, block.distance)
+        kinds = points(samples.summaries, samples.grids, block.distance)
         if block.summaries == "learned":
-            parameters = table[["m_th_kev", "log10_m_halo_msun"]].to_numpy()
             rng = stream(settings.seed, "exclusion/learned", 0)
-            known = learned_points(parameters, summaries, rng)[0]
-        kinds = kinds_of(block.summaries, known)
-        return Table(
-            table["sample_id"].to_numpy(),
-            table["m_th_kev"].to_numpy(),
-            table["log10_m_halo_msun"].to_numpy(),
-            settings.dark_matter.m_th_kev,
-            settings.dark_matter.log10_m_halo_msun,
-            tuple(known[kind].samples for kind in kinds),
-            tuple(known[kind].observed for kind in kinds),
-            kinds,
-        )
+            kinds = learned_points(samples.parameters, samples.summaries, rng)[0]
     except ValueError as error:
         raise ArtifactError(f"the table of samples cannot be used: {error}") from error
+    return samples.points(settings, {kind: kinds[kind] for kind in kinds_of(block.summaries, kinds)})
 
 
-def _nodes(found: Exclusion, settings: ExclusionSettings) -> pd.DataFrame:
-    """One row a node, halo mass by halo mass."""
+def _nodes(counts: Exclusion, settings: ExclusionSettings) -> pd.DataFrame:
+    """Return one row per node, halo mass by halo mass."""
     relic, halo = np.meshgrid(settings.nodes.m_th_kev, settings.nodes.log10_m_halo_msun)
-    intervals = _rate_intervals(found)
+    intervals = _rate_intervals(counts)
     return pd.DataFrame(
         {
             "m_th_kev": relic.ravel(),
             "log10_m_halo_msun": halo.ravel(),
-            "n_samples": found.n_samples.ravel(),
-            "n_accepted": found.n_accepted.ravel(),
+            "n_samples": counts.n_samples.ravel(),
+            "n_accepted": counts.n_accepted.ravel(),
             "rate_low": intervals[..., 0].ravel(),
             "rate_high": intervals[..., 1].ravel(),
-            "probability": _probability(found).ravel(),
+            "probability": _probability(counts).ravel(),
         }
     )
 
 
-def _probability(found: Exclusion) -> FloatArray:
-    """Posterior probability of each node [halo mass, relic mass]; a node without samples left has none."""
-    rate = found.n_accepted / np.maximum(found.n_samples, 1)
+def _probability(counts: Exclusion) -> FloatArray:
+    """Return the posterior probability of each node [halo mass, relic mass]; 0 for one without samples."""
+    rate = counts.n_accepted / np.maximum(counts.n_samples, 1)
     return rate / rate.sum()
 
 
-def _rate_intervals(found: Exclusion) -> FloatArray:
-    """Clopper-Pearson interval of the fraction accepted at each node [halo mass, relic mass, edge]."""
-    pairs = zip(found.n_accepted.ravel().tolist(), found.n_samples.ravel().tolist(), strict=True)
+def _rate_intervals(counts: Exclusion) -> FloatArray:
+    """Return the Clopper-Pearson interval of the fraction accepted at each node [halo mass, relic mass, edge]."""
+    pairs = zip(counts.n_accepted.ravel().tolist(), counts.n_samples.ravel().tolist(), strict=True)
     return np.array([clopper_pearson(k, n) if n else (0.0, 1.0) for k, n in pairs]).reshape(
-        *found.n_samples.shape, 2
+        *counts.n_samples.shape, 2
     )
 
 
-def _node_datasets(found: Exclusion, settings: ExclusionSettings) -> dict[str, Dataset]:
+def _node_datasets(counts: Exclusion, settings: ExclusionSettings) -> dict[str, Dataset]:
     masses, grid = ("halo mass",), ("halo mass", "relic mass")
-    items = found.halo_masses
 
     def column(name: str) -> Any:
-        return np.array([getattr(item, name) for item in items])
+        return np.array([getattr(halo, name) for halo in counts.halo_masses])
 
     return {
         "nodes/m_th_kev": Dataset(np.array(settings.nodes.m_th_kev), "keV", ("relic mass",), "thermal relic mass"),
         "nodes/log10_m_halo_msun": Dataset(
             column("log10_m_halo_msun"), "dex(Msun)", masses, "log10 of M200c of the host halo"
         ),
-        "nodes/n_samples": Dataset(found.n_samples, "", grid, "samples with summaries"),
-        "nodes/n_accepted": Dataset(found.n_accepted, "", grid, "of these, accepted"),
+        "nodes/n_samples": Dataset(counts.n_samples, "", grid, "samples with summaries"),
+        "nodes/n_accepted": Dataset(counts.n_accepted, "", grid, "of these, accepted"),
         "nodes/rate_interval": Dataset(
-            _rate_intervals(found), "", (*grid, "edge"), "Clopper-Pearson interval of the fraction accepted"
+            _rate_intervals(counts), "", (*grid, "edge"), "Clopper-Pearson interval of the fraction accepted"
         ),
-        "nodes/probability": Dataset(_probability(found), "", grid, "posterior, uniform prior on the nodes"),
+        "nodes/probability": Dataset(_probability(counts), "", grid, "posterior, uniform prior on the nodes"),
         "halo_mass/n_samples": Dataset(column("n_samples"), "", masses, "samples with summaries"),
         "halo_mass/n_accepted": Dataset(column("n_accepted"), "", masses, "of these, accepted"),
         "halo_mass/rate": Dataset(column("rate"), "", masses, "fraction accepted"),
@@ -224,16 +178,16 @@ def _node_datasets(found: Exclusion, settings: ExclusionSettings) -> dict[str, D
 
 
 def _table_datasets(
-    table: pd.DataFrame, good: BoolArray, distances: FloatArray, acceptance: Acceptance, kinds: Sequence[str]
+    samples: Samples, distances: FloatArray, acceptance: Acceptance, kinds: Sequence[str]
 ) -> dict[str, Dataset]:
-    """All samples; NaN and not accepted where one failed."""
+    """Return all samples as datasets; NaN and not accepted where one failed."""
+    table, good, axes = samples.table, samples.good, ("sample",)
 
     def spread(values: FloatArray) -> FloatArray:
         column = np.full(len(table), np.nan)
         column[good] = values
         return column
 
-    axes = ("sample",)
     columns = {
         "sample_id": ("", "number of the sample"),
         "m_th_kev": ("keV", "thermal relic mass"),

@@ -2,66 +2,53 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.file import ArtifactError, Dataset
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import lensed_image, subpixel_field
 from warmlens.imaging.observation import Band
 from warmlens.imaging.psf import Convolution, point_source
 from warmlens.lensing.images import DeflectionField, moved_images
 from warmlens.products.observation import read_observation
-from warmlens.products.samples import SampleTable, null
+from warmlens.products.samples import SampleTable
 from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
-from warmlens.products.time_limit import SAMPLE_SECONDS
 from warmlens.sampling import stream
-from warmlens.stages.settings import MocksSettings, NullMocksSettings
+from warmlens.stage_table import MocksSettings, NullMocksSettings
+from warmlens.stages.job import Job
 from warmlens.types import FloatArray
 
+FloatImages = NDArray[np.float32]  # [n, ny, nx]
 
-def run(
-    settings: MocksSettings,
-    deflections: Path,
-    observation: Path,
-    smooth_model: Path,
-    output: Path,
-    sample_seconds: float = SAMPLE_SECONDS,
-) -> None:
+
+def run(job: Job[MocksSettings]) -> None:
     """Write the noisy image of each sample and band.
 
-    Rays go where smooth lens and substructure send them (Birrer+2017 sec. 3.2, alpha_mock); source, light,
-    PSF and noise are the observation's. The quasars stay, or move as the lens equation says.
+    Rays go where smooth lens and substructure send them (Birrer+2017 sec. 3.2, alpha_mock). Source, light,
+    PSF and noise are the observation's. The quasar images stay, or move as the lens equation says.
     """
-    observed = read_observation(observation)
-    model = read_smooth_model(smooth_model)
+    settings = job.settings
+    observed = read_observation(job.path("observation"))
+    model = read_smooth_model(job.path("smooth_model"))
     grid = observed.grid
     bands = [scan_band(observed, model, band.name) for band in observed.bands]
     solved = settings.mocks.quasar_positions == "solved"
-    if solved:
-        if not model.n_quasars:
-            raise ArtifactError(
-                f"{smooth_model}: mocks.quasar_positions: solved needs quasar images, the smooth model has none; "
-                "set it to observed"
-            )
-        smooth = DeflectionField(model.deflection, grid)
-    with open_artifact(deflections, "deflections") as artifact:
-        provenance = Provenance(
-            "mocks",
-            settings.as_dict(),
-            {"deflections": deflections, "observation": observation, "smooth_model": smooth_model},
-            seed_key=f"{settings.seed}/mocks/SAMPLE/BAND",
-            span=artifact.span,
+    if solved and not model.n_quasars:
+        raise ArtifactError(
+            f"{job.path('smooth_model')}: mocks.quasar_positions: solved needs quasar images, the smooth model "
+            "has none; set it to observed"
         )
-        table = SampleTable.read(artifact)
-        images = {band.name: np.full((len(table), *grid.shape), np.nan, dtype=np.float32) for band, _ in bands}
+    smooth = DeflectionField(model.deflection, grid)
+    with job.open("deflections") as deflections:
+        table, span = SampleTable.read(deflections), deflections.span
+        images = _no_images(bands, len(table), grid)
         positions = np.full((len(table), model.n_quasars, 2), np.nan)
 
         def image(row: int) -> None:
-            delta = artifact.array("delta_alpha", row).astype(np.float64)
+            delta = deflections.array("delta_alpha", row).astype(np.float64)
             moved = None
             if solved:
                 moved = moved_images(smooth, DeflectionField(model.deflection + delta, grid), model.quasars)
@@ -69,59 +56,53 @@ def run(
             sample = int(table.parameters.sample_id[row])
             for band, convolution in bands:
                 clean = noise_free_image(model, grid, band, convolution, delta, moved)
-                rng = stream(settings.seed, "mocks", sample, band.name)
-                images[band.name][row] = _finite(band.noise.draw(clean, band.sigma, rng), band.name)
+                images[band.name][row] = _noisy(clean, band, stream(settings.seed, "mocks", sample, band.name))
 
-        table.for_each(image, "mocks", sample_seconds)
+        table.for_each(image, "mocks", job.sample_seconds)
     datasets = _image_datasets(images)
     if solved:
         datasets["quasar_positions"] = Dataset(
-            positions, "arcsec", ("sample", "image", "component"), "where the quasar images stand (x, y)"
+            positions, "arcsec", ("sample", "image", "component"), "positions of the quasar images (x, y)"
         )
-    write_artifact(output, provenance, {**table.datasets(), **datasets}, {"bands": list(images)})
+    seed_key = f"{settings.seed}/mocks/SAMPLE/BAND"
+    job.write({**table.datasets(), **datasets}, {"bands": list(images)}, span, seed_key)
 
 
-def run_null(
-    settings: NullMocksSettings,
-    observation: Path,
-    smooth_model: Path,
-    output: Path,
-    sample_seconds: float = SAMPLE_SECONDS,
-) -> None:
+def run_null(job: Job[NullMocksSettings]) -> None:
     """Write noisy images of the smooth model alone, Delta alpha = 0, as many as the null test asks for."""
-    n = settings.null_test.n_mocks
-    observed = read_observation(observation)
-    model = read_smooth_model(smooth_model)
-    provenance = Provenance(
-        null("mocks"),
-        settings.as_dict(),
-        {"observation": observation, "smooth_model": smooth_model},
-        seed_key=f"{settings.seed}/null/MOCK/BAND",
-        span=(0, n),
-    )
-    table = SampleTable.without_substructure(n)
+    settings, n = job.settings, job.settings.null_test.n_mocks
+    observed = read_observation(job.path("observation"))
+    model = read_smooth_model(job.path("smooth_model"))
     grid = observed.grid
-    nothing = np.zeros((2, *grid.shape))
+    table = SampleTable.without_substructure(n)
     bands = [scan_band(observed, model, band.name) for band in observed.bands]
+    nothing = np.zeros((2, *grid.shape))
     clean = {band.name: noise_free_image(model, grid, band, convolution, nothing) for band, convolution in bands}
-    images = {name: np.full((n, *grid.shape), np.nan, dtype=np.float32) for name in clean}
+    images = _no_images(bands, n, grid)
 
     def image(row: int) -> None:
         for band, _ in bands:
             rng = stream(settings.seed, "null", row, band.name)
-            images[band.name][row] = _finite(band.noise.draw(clean[band.name], band.sigma, rng), band.name)
+            images[band.name][row] = _noisy(clean[band.name], band, rng)
 
-    table.for_each(image, null("mocks"), sample_seconds)
-    write_artifact(output, provenance, {**table.datasets(), **_image_datasets(images)}, {"bands": list(images)})
+    table.for_each(image, job.stage.name, job.sample_seconds)
+    seed_key = f"{settings.seed}/null/MOCK/BAND"
+    job.write({**table.datasets(), **_image_datasets(images)}, {"bands": list(images)}, (0, n), seed_key)
 
 
-def _finite(image: FloatArray, band: str) -> FloatArray:
+def _no_images(bands: Sequence[tuple[Band, Convolution]], n: int, grid: PixelGrid) -> dict[str, FloatImages]:
+    """Return n images of NaN for each band."""
+    return {band.name: np.full((n, *grid.shape), np.nan, dtype=np.float32) for band, _ in bands}
+
+
+def _noisy(clean: FloatArray, band: Band, rng: np.random.Generator) -> FloatArray:
+    image = band.noise.draw(clean, band.sigma, rng)
     if not np.isfinite(image).all():
-        raise FloatingPointError(f"the image in {band} is not finite")
+        raise FloatingPointError(f"the image in {band.name} is not finite")
     return image
 
 
-def _image_datasets(images: Mapping[str, NDArray[np.float32]]) -> dict[str, Dataset]:
+def _image_datasets(images: Mapping[str, FloatImages]) -> dict[str, Dataset]:
     return {
         f"{name}/image": Dataset(data, "electron / s", ("sample", "y", "x"), "noisy mock of the observation")
         for name, data in images.items()

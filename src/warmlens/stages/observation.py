@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts.file import Dataset, Provenance, write_artifact
+from warmlens.artifacts.file import Dataset
 from warmlens.config.observation import SimulatedBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import subpixel_field
@@ -22,38 +21,33 @@ from warmlens.physics import check_field, geometry, halo_generator, smooth_host
 from warmlens.products.images import artifact_path, input_files, read_fits
 from warmlens.products.observation import copy_bands, observation_datasets
 from warmlens.sampling import stream
-from warmlens.stages.settings import ObservationSettings
+from warmlens.stage_table import ObservationSettings
+from warmlens.stages.job import Job
 from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
 
 
-def run(settings: ObservationSettings, output: Path) -> None:
+def run(job: Job[ObservationSettings]) -> None:
     """Write the observation."""
-    block = settings.observation
+    block = job.settings.observation
     if block.kind == "fits":
         assert block.fits is not None  # config: kind fits comes with its block
         blocks = {name: block.fits[name] for name in block.bands}
-        inputs = {f"{name}/{key}": path for name, b in blocks.items() for key, path in input_files(b).items()}
-        provenance = Provenance("observation", settings.as_dict(), inputs)
-        datasets, metadata = observation_datasets(read_fits(blocks))
-        extra: dict[str, Dataset] = {}
+        files = {f"{name}/{key}": path for name, b in blocks.items() for key, path in input_files(b).items()}
+        job.write(*observation_datasets(read_fits(blocks)), sources=files)
     elif block.kind == "artifact":
         source = artifact_path(block)
-        provenance = Provenance("observation", settings.as_dict(), {"artifact": source})
-        datasets, metadata = copy_bands(source, block.bands)
-        extra = {}
+        job.write(*copy_bands(source, block.bands), sources={"artifact": source})
     else:
-        provenance = Provenance("observation", settings.as_dict())
-        observation, extra = simulate(settings)
-        datasets, metadata = observation_datasets(observation)
         assert block.simulated is not None
-        metadata["truth"] = block.simulated.truth.model_dump()
-    write_artifact(output, provenance, {**datasets, **extra}, metadata)
+        observation, truth = simulate(job.settings)
+        datasets, metadata = observation_datasets(observation)
+        job.write({**datasets, **truth}, {**metadata, "truth": block.simulated.truth.model_dump()})
 
 
 def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Dataset]]:
-    """Make the simulated observation; the extra datasets hold its truth."""
+    """Make the simulated observation, and the datasets that hold its truth."""
     block, halos, filters = settings.observation.simulated, settings.halos, settings.deflections
     assert block is not None and halos is not None and filters is not None
     assert settings.cosmology is not None and settings.redshifts is not None
@@ -71,7 +65,7 @@ def simulate(settings: ObservationSettings) -> tuple[Observation, dict[str, Data
     host = smooth_host(generator, truth.log10_m_halo_msun, realization.f_sub) if filters.smooth_host else None
     delta = filtered_deflection(realization.subhalos, grid, lens, filters.filter_arcsec, filters.filter, host)
     bands = tuple(_simulated_band(name, block, grid, delta) for name in settings.observation.bands)
-    log.info("simulated %d bands with %d subhaloes", len(bands), len(realization.subhalos.m_bound))
+    log.info("simulated %d bands with %d subhalos", len(bands), len(realization.subhalos.m_bound))
     extra = {
         "truth/delta_alpha": Dataset(
             delta, "arcsec", ("component", "y", "x"), "substructure of the truth: filtered deflection (x, y)"

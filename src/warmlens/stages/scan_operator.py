@@ -3,19 +3,10 @@
 from __future__ import annotations
 
 import logging
-from pathlib import Path
 
 import numpy as np
 
-from warmlens.artifacts.file import (
-    Artifact,
-    ArtifactError,
-    Dataset,
-    Provenance,
-    input_digest,
-    open_artifact,
-    write_artifact,
-)
+from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, input_digest
 from warmlens.config.model import ScanBlock
 from warmlens.fitting.linear import LinearModel, build_linear_model
 from warmlens.imaging.observation import Observation
@@ -29,34 +20,33 @@ from warmlens.products.scan_operator import (
     shard_datasets,
 )
 from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
-from warmlens.sampling import Span
 from warmlens.scan.operator import build_shard, project_band
-from warmlens.stages.settings import ScanSettings
+from warmlens.stage_table import STAGES, ScanSettings
+from warmlens.stages.job import Job
 
 log = logging.getLogger(__name__)
 
 
-def run_design(settings: ScanSettings, observation: Path, smooth_model: Path, output: Path) -> None:
+def run_design(job: Job[ScanSettings]) -> None:
     """Write the whitened design of each band and its projection on the PSF."""
-    inputs = {"observation": observation, "smooth_model": smooth_model}
-    provenance = Provenance("scan_design", settings.as_dict(), inputs)
-    observed = read_observation(observation)
-    model = read_smooth_model(smooth_model)
-    perturber = scan_perturber(settings.scan)
+    scan = job.settings.scan
+    observed = read_observation(job.path("observation"))
+    model = read_smooth_model(job.path("smooth_model"))
+    perturber = scan_perturber(scan)
     datasets: dict[str, Dataset] = {}
     for name in model.fits:
         band, convolution = scan_band(observed, model, name)
-        linear = scan_linear_model(settings.scan, observed, model, name)
+        linear = scan_linear_model(scan, observed, model, name)
         projection = project_band(linear, convolution, band.weights, model.rays, perturber)
         datasets |= design_datasets(name, linear, projection)
         log.info("%s: %d columns", name, linear.design.shape[1])
     metadata = {
         "bands": list(model.fits),
         "ridge": model.ridge,
-        "n_source": sum(item.n_coefficients for item in model.sets),
+        "n_source": sum(shapelets.n_coefficients for shapelets in model.sets),
         "n_image_columns": observed.grid.nx,
     }
-    write_artifact(output, provenance, datasets, metadata)
+    job.write(datasets, metadata)
 
 
 def scan_linear_model(block: ScanBlock, observed: Observation, model: SmoothModel, name: str) -> LinearModel:
@@ -76,49 +66,47 @@ def scan_linear_model(block: ScanBlock, observed: Observation, model: SmoothMode
     return build_linear_model(source, columns, convolution, band.weights, model.ridge, sigma)
 
 
-def run(
-    settings: ScanSettings, span: Span, observation: Path, smooth_model: Path, design: Path, output: Path
-) -> None:
+def run(job: Job[ScanSettings]) -> None:
     """Write the operator of positions start..stop-1 of the raster."""
-    inputs = {"observation": observation, "smooth_model": smooth_model, "design": design}
-    provenance = Provenance("scan_operator", settings.as_dict(), inputs, span=span)
-    observed = read_observation(observation)
-    model = read_smooth_model(smooth_model)
-    raster = scan_raster(settings.scan, observed)
+    scan, span = job.settings.scan, job.span
+    assert span is not None  # make_job checks it
+    observed = read_observation(job.path("observation"))
+    model = read_smooth_model(job.path("smooth_model"))
+    raster = scan_raster(scan)
     if not 0 <= span[0] < span[1] <= raster.n_positions:
         raise ValueError(
             f"positions {span[0]} to {span[1]} were asked for, the raster has {raster.n_positions}; "
-            "start the campaign again, so that the list of shards is made anew"
+            "start the campaign again, which lists the shards again"
         )
     positions = raster.coordinates()[span[0] : span[1]]
     datasets = {
         "positions": Dataset(positions, "arcsec", ("position", "component"), "perturber on the sky (x, y)")
     }
-    nested = scan_nested(settings.scan)
-    with open_artifact(design, "scan_design") as artifact:
-        check_origin(artifact, settings, {"observation": observation, "smooth_model": smooth_model})
-        for name in artifact.metadata["bands"]:
+    nested = scan_nested(scan)
+    with job.open("design") as design:
+        check_origin(design, job)
+        bands = design.metadata["bands"]
+        for name in bands:
             band, convolution = scan_band(observed, model, name)
             shard = build_shard(
-                read_linear_model(artifact, name),
-                read_projection(artifact, name),
+                read_linear_model(design, name),
+                read_projection(design, name),
                 convolution,
                 band.weights,
                 model.sets,
                 model.rays,
-                scan_perturber(settings.scan),
+                scan_perturber(scan),
                 positions,
                 nested,
-                response="amplitude" in settings.scan.statistics,
+                response="amplitude" in scan.statistics,
             )
             datasets |= shard_datasets(name, shard)
             log.info("%s: positions %d to %d", name, *span)
-        metadata = {"bands": artifact.metadata["bands"], "nested_n_max": -1 if nested is None else nested.n_max}
-    write_artifact(output, provenance, datasets, metadata)
+    job.write(datasets, {"bands": bands, "nested_n_max": -1 if nested is None else nested.n_max})
 
 
-def check_origin(artifact: Artifact, settings: ScanSettings, inputs: dict[str, Path]) -> None:
-    """Refuse a design or shard that was made with other settings or from other inputs than these.
+def check_origin(artifact: Artifact, job: Job[ScanSettings]) -> None:
+    """Refuse a design or shard that was made with other settings, or from other inputs, than those of this job.
 
     Raises
     ------
@@ -126,18 +114,18 @@ def check_origin(artifact: Artifact, settings: ScanSettings, inputs: dict[str, P
         Naming the file, and the setting or input that differs.
     """
     remedy = "delete the file and run the campaign again"
-    expected = settings.without_samples().as_dict()
+    expected = job.settings.of_operator().as_dict()
     if artifact.settings != expected:
-        found, wanted = artifact.settings.get("scan", {}), expected["scan"]
-        keys = [key for key in wanted if found.get(key) != wanted[key]]
-        what = ", ".join(f"scan.{key} = {found.get(key)!r}, expected {wanted[key]!r}" for key in keys)
+        recorded, wanted = artifact.settings.get("scan", {}), expected["scan"]
+        keys = [key for key in wanted if recorded.get(key) != wanted[key]]
+        what = ", ".join(f"scan.{key} = {recorded.get(key)!r}, expected {wanted[key]!r}" for key in keys)
         version = f"stage_version = {artifact.settings.get('stage_version')}, expected {expected['stage_version']}"
         raise ArtifactError(f"{artifact.path}: was made with other settings ({what or version}); {remedy}")
-    for name, path in inputs.items():
-        found = artifact.inputs.get(name, {}).get("digest", "none")
-        wanted = input_digest(path)
-        if found != wanted:
+    for name in STAGES[artifact.stage].inputs:
+        recorded = artifact.inputs.get(name, {}).get("digest", "none")
+        wanted = input_digest(job.path(name))
+        if recorded != wanted:
             raise ArtifactError(
-                f"{artifact.path}: was made from another {name} (digest {found[:12]}, {path} has {wanted[:12]}); "
-                f"{remedy}"
+                f"{artifact.path}: was made from another {name} (digest {recorded[:12]}, {job.path(name)} has "
+                f"{wanted[:12]}); {remedy}"
             )

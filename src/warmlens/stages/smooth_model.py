@@ -5,12 +5,11 @@ from __future__ import annotations
 import dataclasses
 import logging
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from warmlens.artifacts.file import Dataset, Provenance, write_artifact
+from warmlens.artifacts.file import Dataset
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.fitting.lens_fit import LensFit, fit_lens, noise_sigma, outside_cores, solve_given
 from warmlens.fitting.smooth_model import BandFit, band_fit
@@ -22,7 +21,8 @@ from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
 from warmlens.products.observation import read_observation
 from warmlens.products.smooth_model import SmoothModel, scan_band, smooth_model_datasets
-from warmlens.stages.settings import SmoothModelSettings
+from warmlens.stage_table import SmoothModelSettings
+from warmlens.stages.job import Job
 from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
@@ -44,7 +44,7 @@ class BrightAndFaint(NamedTuple):
     faint: float
 
 
-def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
+def run(job: Job[SmoothModelSettings]) -> None:
     """Write the smooth model.
 
     Raises
@@ -53,9 +53,8 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
         If the fit did not converge, hit a limit, left chi2_red above the gate or has a source far finer than
         rays resolve, and `smooth_model.allow_poor_fit` is false.
     """
-    provenance = Provenance("smooth_model", settings.as_dict(), {"observation": observation})
-    block = settings.smooth_model
-    observed = read_observation(observation)
+    block = job.settings.smooth_model
+    observed = read_observation(job.path("observation"))
     fitted = fit_lens(block, observed) if block.mode == "fit" else solve_given(block, observed)
     model = _product(block, observed, fitted)
     residuals = residual_correlations(block, observed, model)
@@ -74,7 +73,7 @@ def run(settings: SmoothModelSettings, observation: Path, output: Path) -> None:
             ("row offset", "column offset"),
             "correlation of the residuals between pixels outside the quasars' cores, in units of the noise",
         )
-    write_artifact(output, provenance, {**datasets, **extra}, {**metadata, **description, "warnings": warnings})
+    job.write({**datasets, **extra}, {**metadata, **description, "warnings": warnings})
 
 
 def _product(block: SmoothModelBlock, observed: Observation, fitted: LensFit) -> SmoothModel:

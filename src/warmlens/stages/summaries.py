@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.products.samples import SampleTable, after, null
-from warmlens.stages.settings import SummariesSettings
+from warmlens.artifacts.file import Artifact, Dataset
+from warmlens.products.samples import SampleTable
+from warmlens.stage_table import SummariesSettings
+from warmlens.stages.job import Job
 from warmlens.summaries.correlation import PairGeometry, correlation_function
 from warmlens.summaries.cumulative import counts_below, cumulative_distribution, threshold_grid
 from warmlens.summaries.response import amplitude_correlation, mean_square_significance
@@ -21,38 +20,36 @@ _RESPONSE = ("score", "fisher")  # only with the statistic `amplitude`
 Scan = dict[str, dict[str, FloatArray]]  # what the scan found, by band and name
 
 
-def run(settings: SummariesSettings, scans: Path, output: Path) -> None:
+def run(job: Job[SummariesSettings]) -> None:
     """Summarise the scans of a chunk, or of the null test."""
-    with open_artifact(scans, "scans", null("scans")) as artifact:
-        stage = after(artifact, "summaries")
-        provenance = Provenance(stage, settings.as_dict(), {"scans": scans}, span=artifact.span)
-        table = SampleTable.read(artifact)
-        found = _read_scan(artifact)
-        summary = _Summary(settings, artifact)
-        rows: dict[str, FloatArray] = {}
+    with job.open("scans") as scans:
+        table, span = SampleTable.read(scans), scans.span
+        maps_of_band = _read_scan(scans)
+        summary = _Summary(job.settings, scans)
+        sizes = summary.sizes(maps_of_band)
+        rows = {name: np.full((len(table), *size), np.nan) for name, size in sizes.items()}
 
         def summarise(row: int) -> None:
-            of_row = {band: {name: data[row] for name, data in maps.items()} for band, maps in found.items()}
-            for name, values in summary.of_scan(of_row).items():
+            scan = {
+                band: {name: maps[row] for name, maps in of_band.items()} for band, of_band in maps_of_band.items()
+            }
+            for name, values in summary.of_scan(scan).items():
                 if not np.isfinite(values).all():
                     raise FloatingPointError(f"the summary {name} is not finite")
                 rows[name][row] = values
 
-        for name, size in summary.sizes(found).items():
-            rows[name] = np.full((len(table), *size), np.nan)
         table.for_each(summarise, "summaries")
     datasets = {**table.datasets(), **summary.datasets(rows, ("sample",))}
-    write_artifact(output, provenance, datasets, {"bands": list(found)})
+    job.write(datasets, {"bands": list(maps_of_band)}, span)
 
 
-def run_observed(settings: SummariesSettings, observed_scan: Path, output: Path) -> None:
+def run_observed(job: Job[SummariesSettings]) -> None:
     """Summarise the scan of the observation."""
-    with open_artifact(observed_scan, "observed_scan") as artifact:
-        provenance = Provenance("observed_summary", settings.as_dict(), {"observed_scan": observed_scan})
-        found = _read_scan(artifact)
-        summary = _Summary(settings, artifact)
-        datasets = summary.datasets(summary.of_scan(found), ())
-    write_artifact(output, provenance, datasets, {"bands": list(found)})
+    with job.open("observed_scan") as artifact:
+        scan = _read_scan(artifact)
+        summary = _Summary(job.settings, artifact)
+        datasets = summary.datasets(summary.of_scan(scan), ())
+    job.write(datasets, {"bands": list(scan)})
 
 
 def _read_scan(artifact: Artifact) -> Scan:

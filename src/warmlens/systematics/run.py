@@ -20,12 +20,12 @@ from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.branch import StageBranch, branch
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.run import lift_abandoned_lock
-from warmlens.campaign.settings import campaign_stages, stage_digests
 from warmlens.campaign.snakemake import SNAKEMAKE, arguments
 from warmlens.config.file import ConfigError, load_config, merge
 from warmlens.config.model import Config
 from warmlens.config.types import Block, Name, ResultsFolder
 from warmlens.config.yaml import read_yaml
+from warmlens.stage_table import campaign_stages, stage_digests
 from warmlens.systematics.table import (
     NAME,
     Row,

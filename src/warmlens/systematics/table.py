@@ -17,10 +17,10 @@ from rich.table import Table
 from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
-from warmlens.campaign.settings import campaign_stages
 from warmlens.config.model import Config
 from warmlens.inference.priors import HALO_MASS_PRIORS
 from warmlens.products.samples import SampleTable
+from warmlens.stage_table import campaign_stages
 from warmlens.stages.summaries import COMBINED
 
 NAME = "systematics"

@@ -14,7 +14,7 @@ from warmlens.inference.bound import HEADLINE
 from warmlens.inference.checks import Predictive, Rank
 from warmlens.inference.null import NullTest
 from warmlens.inference.summary_sets import Summary
-from warmlens.stages.abc.numbers import plain
+from warmlens.stages.abc.numbers import to_json_types
 from warmlens.types import IntArray
 
 MAX_REACHING = 0.05  # fraction of mocks without substructure that may give a bound as high
@@ -23,18 +23,18 @@ MAX_REACHING = 0.05  # fraction of mocks without substructure that may give a bo
 def null_numbers(
     test: NullTest,
     kinds: tuple[str, ...],
-    found: Analysis,
+    analysis: Analysis,
     ranks: Mapping[str, Rank],
     predictive: Mapping[str, Predictive],
     n_failed: int,
 ) -> dict[str, Any]:
-    """Bounds of the mocks, beside those of the prior and of cold dark matter, and the observation among the mocks.
+    """Return the bounds of the mocks with those of prior and cold dark matter, and where the observation lies.
 
     Parameters
     ----------
     test, kinds
         The test, and the kinds of summaries that it cut on.
-    found
+    analysis
         The inference on the observation.
     ranks
         Of the observation among the mocks.
@@ -44,14 +44,14 @@ def null_numbers(
         Mocks that failed.
     """
     low, median, high = test.quantiles_kev
-    return plain(
+    return to_json_types(
         {
             "n_mocks": len(test.bounds),
             "n_failed": n_failed,
             "bound_kev": {"low": low, "median": median, "high": high},
-            "prior_only_kev": found.bounds[HEADLINE].prior_only_kev,
-            "expected_limit_kev": None if found.expected is None else found.expected.quantiles_kev[2],
-            "fraction_reaching_bound": test.fraction_reaching(found.bounds[HEADLINE].value_kev),
+            "prior_only_kev": analysis.bounds[HEADLINE].prior_only_kev,
+            "expected_limit_kev": None if analysis.expected is None else analysis.expected.quantiles_kev[2],
+            "fraction_reaching_bound": test.fraction_reaching(analysis.bounds[HEADLINE].value_kev),
             "nearest_neighbour_percentile": {
                 kind: {"median": np.median(values), "max": values.max()}
                 for kind, values in zip(kinds, test.nearest_percentile, strict=True)
@@ -62,10 +62,10 @@ def null_numbers(
     )
 
 
-def null_warnings(test: NullTest, found: Analysis, n_failed: int) -> list[str]:
-    """What the null test says against the bound."""
+def null_warnings(test: NullTest, analysis: Analysis, n_failed: int) -> list[str]:
+    """Return what the null test says against the bound."""
     warnings = []
-    reaching = test.fraction_reaching(found.bounds[HEADLINE].value_kev)
+    reaching = test.fraction_reaching(analysis.bounds[HEADLINE].value_kev)
     if reaching > MAX_REACHING:
         warnings.append(
             f"null test: {reaching:.0%} of {len(test.bounds)} mocks without substructure give a bound as high"
@@ -78,7 +78,7 @@ def null_warnings(test: NullTest, found: Analysis, n_failed: int) -> list[str]:
 def null_datasets(
     mock_id: IntArray, test: NullTest, single: Mapping[str, Summary], predictive: Mapping[str, Predictive]
 ) -> dict[str, Dataset]:
-    """All arrays of the null test."""
+    """Return all arrays of the null test."""
     mock = ("mock",)
     result = {
         "null/sample": Dataset(mock_id, "", mock, "number of the mock without substructure"),
@@ -87,9 +87,9 @@ def null_datasets(
             test.nearest_percentile, "", ("kind", "mock"), "how far they lie from the samples [% of samples]"
         ),
     }
-    for name, item in single.items():
-        result[f"null/{name}"] = Dataset(item.null, "", mock, f"{name} of the mock")
-    for kind, values in predictive.items():
-        quantiles = Dataset(values.quantiles, "", ("level", "point"), "2.5, 16, 50, 84, 97.5% of the mocks")
+    for name, values in single.items():
+        result[f"null/{name}"] = Dataset(values.null, "", mock, f"{name} of the mock")
+    for kind, check in predictive.items():
+        quantiles = Dataset(check.quantiles, "", ("level", "point"), "2.5, 16, 50, 84, 97.5% of the mocks")
         result[f"null/{kind}/quantiles"] = quantiles
     return result

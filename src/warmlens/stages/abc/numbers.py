@@ -44,52 +44,50 @@ def add_columns(
     paper: FloatArray,
     single: Mapping[str, Summary],
     kinds: tuple[str, ...],
-    found: Analysis,
-) -> None:
-    """Add summaries, distances, acceptance, weights and adjusted parameters to the table of all samples.
+    analysis: Analysis,
+) -> pd.DataFrame:
+    """Return the table of all samples with summaries, distances, acceptance, weights and adjusted parameters.
 
     Parameters
     ----------
-    table
-        One row a sample; changed.
-    good
-        Rows that have summaries [n].
+    table, good
+        One row per sample, and those that have summaries [n].
     paper
         The paper's distances of these [2, n_good].
     single
         Summaries that are single numbers.
-    kinds
-        Kinds of summaries that the acceptance cut on.
-    found
-        The analysis of these.
+    kinds, analysis
+        Kinds of summaries that the acceptance cut on, and the analysis of these.
     """
-    for name, item in single.items():
-        table.loc[good, name] = item.samples
+    table = table.copy()
+    for name, values in single.items():
+        table.loc[good, name] = values.samples
     for kind, values in zip(KINDS, paper, strict=True):
         table.loc[good, f"distance_{kind}"] = values
-    for kind, values in zip(kinds, found.distances, strict=True):
+    for kind, values in zip(kinds, analysis.distances, strict=True):
         table.loc[good, f"cut_{kind}"] = values
-    table.loc[good, "max_rank"] = found.acceptance.max_rank
+    table.loc[good, "max_rank"] = analysis.acceptance.max_rank
     table["accepted"] = False
-    table.loc[good, "accepted"] = found.acceptance.accepted
+    table.loc[good, "accepted"] = analysis.acceptance.accepted
     table["weight"] = table["accepted"].astype(float)
     for name in ("adjusted_m_th_kev", "adjusted_log10_m_halo_msun", "adjusted_weight"):
         table[name] = np.nan
-    if found.adjusted is not None:
+    if analysis.adjusted is not None:
         accepted = table["accepted"].to_numpy()
-        table.loc[accepted, "adjusted_m_th_kev"] = found.adjusted.values[:, 0]
-        table.loc[accepted, "adjusted_log10_m_halo_msun"] = found.adjusted.values[:, 1]
-        table.loc[accepted, "adjusted_weight"] = found.adjusted.weights
+        table.loc[accepted, "adjusted_m_th_kev"] = analysis.adjusted.values[:, 0]
+        table.loc[accepted, "adjusted_log10_m_halo_msun"] = analysis.adjusted.values[:, 1]
+        table.loc[accepted, "adjusted_weight"] = analysis.adjusted.weights
+    return table
 
 
-def datasets(
+def answer_datasets(
     table: pd.DataFrame,
     single: Sequence[str],
     samples: Table,
-    found: Analysis,
+    analysis: Analysis,
     predictive: Mapping[str, Predictive],
 ) -> dict[str, Dataset]:
-    """All arrays of the artifact; `single` are the columns of the summaries that are single numbers."""
+    """Return all arrays of the artifact; `single` are the columns of the summaries that are single numbers."""
     result = {}
     columns = dict(_COLUMNS)
     columns |= {f"cut_{kind}": ("", f"distance in {kind} that the acceptance used") for kind in samples.kinds}
@@ -98,7 +96,7 @@ def datasets(
         column = table[name]
         data: Any = column.tolist() if name == "message" else column.to_numpy()
         result[f"table/{name}"] = Dataset(data, unit, ("sample",), description)
-    ratio = found.likelihood
+    ratio = analysis.likelihood
     result |= {
         "likelihood/m_kev": Dataset(ratio.m_kev, "keV", ("mass",), "grid of the likelihood ratio"),
         "likelihood/ratio": Dataset(ratio.ratio, "", ("mass",), "B(m), 1 at the upper end of the prior"),
@@ -107,7 +105,7 @@ def datasets(
         ),
         "likelihood/band": Dataset(ratio.band(), "", ("edge", "mass"), "16 and 84% of the bootstrapped B(m)"),
     }
-    trials = found.trials
+    trials = analysis.trials
     parameters = ("trial", "parameter")
     result |= {
         "trials/sample_id": Dataset(
@@ -116,14 +114,14 @@ def datasets(
         "trials/truth": Dataset(trials.truth, "", parameters, "their m_th_kev and log10_m_halo_msun"),
         "trials/bounds": Dataset(trials.bounds, "keV", ("trial", "level"), "their bounds q05, q0455, q02275"),
         "trials/pit": Dataset(trials.pit, "", parameters, "rank of the truth, uniform in 0..1 if calibrated"),
-        "trials/ratio": Dataset(trial_ratios(samples, found), "", ("trial", "mass"), "their B(m)"),
+        "trials/ratio": Dataset(trial_ratios(samples, analysis), "", ("trial", "mass"), "their B(m)"),
     }
     if trials.adjusted_bounds is not None and trials.adjusted_pit is not None:
         result["trials/adjusted_bounds"] = Dataset(
             trials.adjusted_bounds, "keV", ("trial", "level"), "their bounds after the regression adjustment"
         )
         result["trials/adjusted_pit"] = Dataset(trials.adjusted_pit, "", parameters, "ranks after the adjustment")
-    for name, ranks in found.calibration.ranks.items():
+    for name, ranks in analysis.calibration.ranks.items():
         stack = np.vstack([ranks.grid, ranks.ecdf, ranks.band])
         text = "rows: rank, ECDF, lower and upper edge of its 95% band"
         result[f"ranks/{name}"] = Dataset(stack, "", ("row", "point"), text)
@@ -134,67 +132,65 @@ def datasets(
     return result
 
 
-def trial_ratios(samples: Table, found: Analysis) -> FloatArray:
-    """B(m) of every leave-one-out trial, with the bandwidth of the observation [n_trials, n_grid]."""
-    ratio = found.likelihood
+def trial_ratios(samples: Table, analysis: Analysis) -> FloatArray:
+    """Return B(m) of every leave-one-out trial, with the bandwidth of the observation [n_trials, n_grid]."""
+    ratio = analysis.likelihood
     kernels = BoundaryKernels(ratio.m_kev, samples.m_kev, ratio.bandwidth_kev, samples.m_range_kev)
-    return kernels.ratio(found.trials.accepted)
+    return kernels.ratio(analysis.trials.accepted)
 
 
-def numbers(
-    found: Analysis,
+def answer_numbers(
+    analysis: Analysis,
     predictive: Mapping[str, Predictive],
     forecasts: Sequence[Forecast],
     warnings: list[str],
 ) -> dict[str, Any]:
-    """Every headline number with its error and its warnings, as plain values; what is unknown is None."""
-    acceptance = found.acceptance
+    """Return every headline number with its error and its warnings, as plain values; None where unknown."""
+    acceptance = analysis.acceptance
     result = {
         "headline": HEADLINE,
-        "bounds": {name: _bound(bound) for name, bound in found.bounds.items()},
-        "quotable": quotable(found),
+        "bounds": {name: dataclasses.asdict(bound) for name, bound in analysis.bounds.items()},
+        "quotable": quotable(analysis),
         "warnings": warnings,
         "acceptance": acceptance.rule,
         "fraction": acceptance.fraction,
         "n_accepted": acceptance.k,
         "n_ties": acceptance.n_tied,
         "implied_quantile": acceptance.implied_quantile,
-        "other_rules": {name: _bound_or_text(bound) for name, bound in found.other_rules.items()},
-        "other_priors": {name: _bound_or_text(bound) for name, bound in found.other_priors.items()},
+        "other_rules": {name: _bound_or_text(bound) for name, bound in analysis.other_rules.items()},
+        "other_priors": {name: _bound_or_text(bound) for name, bound in analysis.other_priors.items()},
         "likelihood_ratio": {
-            "normalised_at_kev": found.likelihood.m_kev[-1],
-            "bandwidth_kev": found.likelihood.bandwidth_kev,
-            "falls_to": {name: dataclasses.asdict(value) for name, value in found.crossings.items()},
+            "normalised_at_kev": analysis.likelihood.m_kev[-1],
+            "bandwidth_kev": analysis.likelihood.bandwidth_kev,
+            "falls_to": {name: dataclasses.asdict(value) for name, value in analysis.crossings.items()},
         },
-        "regression_adjustment": _adjusted(found.adjusted, found.no_adjustment, found.adjusted_calibration),
-        "calibration": _calibration(found.calibration),
-        "expected_limit": None if found.expected is None else dataclasses.asdict(found.expected),
+        "regression_adjustment": _adjusted(
+            analysis.adjusted, analysis.no_adjustment, analysis.adjusted_calibration
+        ),
+        "calibration": _calibration(analysis.calibration),
+        "expected_limit": None if analysis.expected is None else dataclasses.asdict(analysis.expected),
         "expected_limit_truths_above_kev": CDM_LIKE_KEV,
         "threshold_convergence": {
-            "raw": found.convergence.raw,
-            "adjusted": found.convergence.adjusted,
-            "steps": [dataclasses.asdict(step) for step in found.convergence.steps],
+            "raw": analysis.convergence.raw,
+            "adjusted": analysis.convergence.adjusted,
+            "steps": [dataclasses.asdict(step) for step in analysis.convergence.steps],
         },
-        "nearest_neighbour_percentile": found.cloud.percentile,
-        "information": dataclasses.asdict(found.gain),
+        "nearest_neighbour_percentile": analysis.cloud.percentile,
+        "information": dataclasses.asdict(analysis.gain),
         "forecast": [dataclasses.asdict(value) for value in forecasts],
         "posterior_predictive_p": {kind: value.p_value for kind, value in predictive.items()},
     }
-    return plain(result)
+    return to_json_types(result)
 
 
-def quotable(found: Analysis) -> bool:
-    """Whether the bound may be quoted at all: enough samples, and an observation inside the simulated cloud."""
-    enough = found.acceptance.k >= MIN_ACCEPTED and found.acceptance.n >= MIN_TABLE
-    return enough and not found.cloud.warnings
-
-
-def _bound(bound: Bound) -> dict[str, Any]:
-    return dataclasses.asdict(bound)
+def quotable(analysis: Analysis) -> bool:
+    """Return whether the bound may be quoted: enough samples, and an observation that lies among them."""
+    enough = analysis.acceptance.k >= MIN_ACCEPTED and analysis.acceptance.n >= MIN_TABLE
+    return enough and not analysis.cloud.warnings
 
 
 def _bound_or_text(bound: Bound | str) -> dict[str, Any]:
-    return {"value_kev": None, "warnings": [bound]} if isinstance(bound, str) else _bound(bound)
+    return {"value_kev": None, "warnings": [bound]} if isinstance(bound, str) else dataclasses.asdict(bound)
 
 
 def _adjusted(adjusted: Adjusted | None, reason: str, calibration: Calibration | None) -> dict[str, Any]:
@@ -216,27 +212,27 @@ def _adjusted(adjusted: Adjusted | None, reason: str, calibration: Calibration |
     }
 
 
-def _calibration(found: Calibration) -> dict[str, Any]:
-    def plain(value: Coverage) -> dict[str, Any]:
+def _calibration(calibration: Calibration) -> dict[str, Any]:
+    def rates(value: Coverage) -> dict[str, Any]:
         return {"fraction": value.fraction, **dataclasses.asdict(value)}
 
     return {
-        "passed": found.passed,
-        "coverage": {name: plain(value) for name, value in found.overall.items()},
-        "coverage_by_true_mass": {name: plain(found.by_mass[name]) for name in MASS_BINS_KEV},
+        "passed": calibration.passed,
+        "coverage": {name: rates(value) for name, value in calibration.overall.items()},
+        "coverage_by_true_mass": {name: rates(calibration.by_mass[name]) for name in MASS_BINS_KEV},
         "ranks": {
             name: {"ks_statistic": test.ks_statistic, "ks_p": test.ks_p, "ecdf_inside_band": test.inside_band}
-            for name, test in found.ranks.items()
+            for name, test in calibration.ranks.items()
         },
     }
 
 
-def plain(value: Any) -> Any:
-    """Numpy scalars as Python's, NaN and infinities as None, tuples as lists."""
+def to_json_types(value: Any) -> Any:
+    """Return numpy scalars as Python's, NaN and infinities as None, tuples as lists."""
     if isinstance(value, Mapping):
-        return {key: plain(item) for key, item in value.items()}
+        return {key: to_json_types(entry) for key, entry in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_types(entry) for entry in value]
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not np.isfinite(value):

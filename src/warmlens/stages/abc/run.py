@@ -3,38 +3,28 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import logging
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
-from warmlens import __version__
-from warmlens.artifacts.chain import check_chains
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, atomic_path, write_artifact
+from warmlens.artifacts.file import ArtifactError, Dataset
 from warmlens.inference.acceptance import KINDS
 from warmlens.inference.analysis import Analysis, analyse
 from warmlens.inference.bound import HEADLINE, TooFewError
-from warmlens.inference.checks import Rank, posterior_predictive, rank_among
-from warmlens.inference.combine import cold_ratios, forecast
+from warmlens.inference.checks import Predictive, Rank, posterior_predictive, rank_among
+from warmlens.inference.combine import Forecast, cold_ratios, forecast
 from warmlens.inference.distance import correlation_distance, cumulative_distance
 from warmlens.inference.null import null_test
 from warmlens.inference.summary_sets import LEARNED, SETS, Summary, kinds_of, learned_points, points, summary_set
 from warmlens.inference.table import Table
 from warmlens.sampling import stream
+from warmlens.stage_table import AbcSettings
 from warmlens.stages.abc.null import null_datasets, null_numbers, null_warnings
-from warmlens.stages.abc.numbers import add_columns, datasets, numbers, plain
-from warmlens.stages.abc.tables import (
-    make_table,
-    read_null_table,
-    read_summaries,
-    scalars,
-    usable_table,
-)
-from warmlens.stages.settings import AbcSettings
+from warmlens.stages.abc.numbers import add_columns, answer_datasets, answer_numbers, to_json_types
+from warmlens.stages.abc.tables import Samples, read_samples, scalars, write_answer
+from warmlens.stages.job import Job
 from warmlens.types import FloatArray
 
 log = logging.getLogger(__name__)
@@ -43,117 +33,105 @@ SUMMARY_SET_ROWS = 300  # pseudo-observations for the comparison of summary sets
 MIN_RANK_P = 0.05
 
 
-def run(
-    settings: AbcSettings,
-    summaries: Sequence[Path],
-    observed_summary: Path,
-    smooth_model: Path,
-    output: Path,
-    table_csv: Path,
-    numbers_json: Path,
-    null_summaries: Path | None = None,
-) -> None:
+def run(job: Job[AbcSettings]) -> None:
     """Write the table, the posterior, and every number that comes of them; with the null test if there is one."""
-    inputs = {"observed_summary": observed_summary, "smooth_model": smooth_model}
-    if null_summaries is not None:
-        inputs["null_summaries"] = null_summaries
-    inputs |= {f"summaries/{path.stem}": path for path in summaries}
-    provenance = Provenance("abc", settings.as_dict(), inputs, seed_key=f"{settings.seed}/abc")
-    check_chains(inputs.values(), settings.upstream)
-    table, good, upstream_warnings = usable_table(
-        summaries, smooth_model, settings.n_samples, settings.abc.max_failed_fraction
-    )
-    compared, grids = read_summaries(summaries, observed_summary, null_summaries, good)
-    known, learned, missing = _points(settings, table[good], compared, grids)
-    samples = _headline_table(settings, table[good], known, missing)
-    block = settings.abc
-    try:
-        found = analyse(
-            samples,
-            block.acceptance,
-            block.fraction,
-            block.bootstrap,
-            block.leave_one_out,
-            lambda name: stream(settings.seed, f"abc/{name}", 0),
-        )
-    except TooFewError as error:
-        raise ArtifactError(str(error)) from error
-    rng = stream(settings.seed, "abc/forecast", 0)
-    forecasts = forecast(
-        found.likelihood.m_kev,
-        cold_ratios(samples, found.trials, found.likelihood, rng),
-        found.acceptance.k,
-        found.bounds[HEADLINE].level,
-        rng,
-    )
-    predictive = {
-        kind: posterior_predictive(compared[kind].samples, compared[kind].observed, found.acceptance.accepted)
-        for kind in KINDS
-    }
-    single = scalars(compared, grids)
-    ranks = {name: rank_among(item.samples, float(item.observed)) for name, item in single.items()}
-    null_found, null_arrays, warnings = _null_test(
-        settings, null_summaries, samples, known, compared, single, found
-    )
-    warnings = [*found.warnings, *_rank_warnings(ranks), *warnings, *upstream_warnings]
+    settings, block = job.settings, job.settings.abc
+    samples = read_samples(job)
+    kinds, learned, missing = _points(settings, samples)
+    table = _headline_table(settings, samples, kinds, missing)
+    analysis = _analyse(settings, table)
+    predictive = _predictive(samples, analysis, null=False)
+    single = scalars(samples.summaries, samples.grids)
+    ranks = {name: rank_among(values.samples, float(values.observed)) for name, values in single.items()}
+    of_null, null_arrays, null_notes = _null_test(settings, samples, table, kinds, single, analysis)
+    warnings = [*analysis.warnings, *_rank_warnings(ranks), *null_notes, *samples.warnings]
     for warning in warnings:
         log.warning(warning)
-    add_columns(table, good, _paper_distances(compared, grids), single, samples.kinds, found)
+    rows = add_columns(samples.table, samples.good, _paper_distances(samples), single, table.kinds, analysis)
     metadata: dict[str, Any] = {
-        "n_samples": len(table),
-        "n_failed": int((~good).sum()),
+        "n_samples": len(rows),
+        "n_failed": int((~samples.good).sum()),
         "summaries": block.summaries,
-        "kinds": list(samples.kinds),
+        "kinds": list(table.kinds),
         "distance": block.distance,
         "prior": settings.dark_matter.model_dump(mode="json"),
-        **numbers(found, predictive, forecasts, warnings),
+        **answer_numbers(analysis, predictive, _forecast(settings, table, analysis), warnings),
         "observation_among_samples": {name: dataclasses.asdict(rank) for name, rank in ranks.items()},
-        "null_test": null_found,
-        "summary_sets": _summary_sets(settings, table[good], known, missing),
+        "null_test": of_null,
+        "summary_sets": _summary_sets(settings, samples, kinds, missing),
         "learned": learned,
     }
-    arrays = datasets(table, list(single), samples, found, predictive) | null_arrays
-    digest = write_artifact(output, provenance, arrays, metadata)
-    with atomic_path(table_csv) as temporary:
-        table.to_csv(temporary, index=False)
-    with atomic_path(numbers_json) as temporary:
-        whole = {"package_version": __version__, "artifact": output.name, "artifact_digest": digest, **metadata}
-        temporary.write_text(json.dumps(whole, indent=2, allow_nan=False) + "\n")
+    write_answer(
+        job, answer_datasets(rows, list(single), table, analysis, predictive) | null_arrays, metadata, rows
+    )
 
 
-def _points(
-    settings: AbcSettings, table: pd.DataFrame, compared: Mapping[str, Summary], grids: Mapping[str, FloatArray]
-) -> tuple[dict[str, Summary], dict[str, Any], dict[str, str]]:
-    """Every kind of summary as points, how well the learned ones predict, and why a kind is missing."""
-    known = points(compared, grids, settings.abc.distance)
+def _points(settings: AbcSettings, samples: Samples) -> tuple[dict[str, Summary], dict[str, Any], dict[str, str]]:
+    """Return every kind of summary as points, how well the learned ones predict, and why a kind is missing."""
+    kinds = points(samples.summaries, samples.grids, settings.abc.distance)
     missing = {}
-    if "response" not in known:
+    if "response" not in kinds:
         missing["response"] = "the linear response needs scan.statistics: [delta_r, amplitude]"
-    parameters = table[["m_th_kev", "log10_m_halo_msun"]].to_numpy()
+    rng = stream(settings.seed, "abc/learned", 0)
     try:
-        more, learned = learned_points(parameters, compared, stream(settings.seed, "abc/learned", 0))
+        more, learned = learned_points(samples.parameters, samples.summaries, rng)
     except ValueError as error:  # too few samples to learn from
-        return known, {"refused": str(error)}, missing | dict.fromkeys(LEARNED, str(error))
+        return kinds, {"refused": str(error)}, missing | dict.fromkeys(LEARNED, str(error))
     described = {"r_squared": list(learned.r_squared), "penalty": list(learned.penalty)}
-    return known | more, plain(described), missing
+    return kinds | more, to_json_types(described), missing
 
 
 def _headline_table(
-    settings: AbcSettings, table: pd.DataFrame, known: Mapping[str, Summary], missing: Mapping[str, str]
+    settings: AbcSettings, samples: Samples, kinds: Mapping[str, Summary], missing: Mapping[str, str]
 ) -> Table:
-    """Samples with the summaries of the headline."""
+    """Return the samples with the summaries of the headline."""
     name = settings.abc.summaries
     for kind in SETS[name]:
         if kind in missing:
             raise ArtifactError(f"abc.summaries: {name} cannot be used: {missing[kind]}")
-    return make_table(settings, table, {kind: known[kind] for kind in SETS[name]})
+    return samples.points(settings, {kind: kinds[kind] for kind in SETS[name]})
 
 
-def _paper_distances(compared: Mapping[str, Summary], grids: Mapping[str, FloatArray]) -> FloatArray:
-    """Integrals of the squared difference of samples and observation [2, n]."""
-    of_kind = {"correlation": correlation_distance, "cumulative": cumulative_distance}
+def _analyse(settings: AbcSettings, table: Table) -> Analysis:
+    block = settings.abc
+    rng = _streams(settings.seed, "abc")
+    try:
+        return analyse(table, block.acceptance, block.fraction, block.bootstrap, block.leave_one_out, rng)
+    except TooFewError as error:
+        raise ArtifactError(str(error)) from error
+
+
+def _streams(seed: int, prefix: str) -> Callable[[str], np.random.Generator]:
+    """Return a function that gives the random numbers of a name."""
+    return lambda name: stream(seed, f"{prefix}/{name}", 0)
+
+
+def _forecast(settings: AbcSettings, table: Table, analysis: Analysis) -> tuple[Forecast, ...]:
+    rng = stream(settings.seed, "abc/forecast", 0)
+    ratios = cold_ratios(table, analysis.trials, analysis.likelihood, rng)
+    level = analysis.bounds[HEADLINE].level
+    return forecast(analysis.likelihood.m_kev, ratios, analysis.acceptance.k, level, rng)
+
+
+def _predictive(samples: Samples, analysis: Analysis, null: bool) -> dict[str, Predictive]:
+    """Compare the paper's summaries of the accepted samples, or of all null mocks, with the observed ones."""
+    everyone = np.ones(samples.null_id.size, dtype=bool)
+    return {
+        kind: posterior_predictive(
+            samples.summaries[kind].null if null else samples.summaries[kind].samples,
+            samples.summaries[kind].observed,
+            everyone if null else analysis.acceptance.accepted,
+        )
+        for kind in KINDS
+    }
+
+
+def _paper_distances(samples: Samples) -> FloatArray:
+    """Return the integrals of the squared difference of samples and observation [2, n_good]."""
+    distance = {"correlation": correlation_distance, "cumulative": cumulative_distance}
+    of_kind = samples.summaries
     return np.array(
-        [of_kind[kind](grids[kind], compared[kind].samples, compared[kind].observed) for kind in KINDS]
+        [distance[kind](samples.grids[kind], of_kind[kind].samples, of_kind[kind].observed) for kind in KINDS]
     )
 
 
@@ -169,54 +147,42 @@ def _rank_warnings(ranks: Mapping[str, Rank]) -> list[str]:
 
 def _null_test(
     settings: AbcSettings,
-    path: Path | None,
-    samples: Table,
-    known: Mapping[str, Summary],
-    compared: Mapping[str, Summary],
+    samples: Samples,
+    table: Table,
+    kinds: Mapping[str, Summary],
     single: Mapping[str, Summary],
-    found: Analysis,
+    analysis: Analysis,
 ) -> tuple[dict[str, Any] | None, dict[str, Dataset], list[str]]:
-    """Numbers, arrays and warnings of the null test; nothing if there is none."""
-    if path is None:
-        return None, {}, []
-    mock_id, n_failed = read_null_table(path)
-    if not mock_id.size:
-        return None, {}, [f"null test: all {n_failed} mocks without substructure failed"]
-    test = null_test(
-        samples,
-        [known[kind].null for kind in samples.kinds],
-        found.cloud,
-        settings.abc.acceptance,
-        settings.abc.fraction,
-        stream(settings.seed, "abc/null", 0),
-    )
-    ranks = {name: rank_among(item.null, float(item.observed)) for name, item in single.items()}
-    everyone = np.ones(mock_id.size, dtype=bool)
-    predictive = {
-        kind: posterior_predictive(compared[kind].null, compared[kind].observed, everyone) for kind in KINDS
-    }
-    described = null_numbers(test, samples.kinds, found, ranks, predictive, n_failed)
-    arrays = null_datasets(mock_id, test, single, predictive)
-    return described, arrays, null_warnings(test, found, n_failed)
+    """Return numbers, arrays and warnings of the null test; nothing if there is none."""
+    if not samples.null_id.size:
+        n_failed = samples.n_null_failed
+        return None, {}, [f"null test: all {n_failed} mocks without substructure failed"] if n_failed else []
+    block = settings.abc
+    rng = stream(settings.seed, "abc/null", 0)
+    nulls = [kinds[kind].null for kind in table.kinds]
+    test = null_test(table, nulls, analysis.cloud, block.acceptance, block.fraction, rng)
+    ranks = {name: rank_among(values.null, float(values.observed)) for name, values in single.items()}
+    predictive = _predictive(samples, analysis, null=True)
+    described = null_numbers(test, table.kinds, analysis, ranks, predictive, samples.n_null_failed)
+    arrays = null_datasets(samples.null_id, test, single, predictive)
+    return described, arrays, null_warnings(test, analysis, samples.n_null_failed)
 
 
 def _summary_sets(
-    settings: AbcSettings, table: pd.DataFrame, known: Mapping[str, Summary], missing: Mapping[str, str]
+    settings: AbcSettings, samples: Samples, kinds: Mapping[str, Summary], missing: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Information and bound of every set of summaries, or why there is none."""
+    """Return information and bound of every set of summaries, or why there is none."""
     block = settings.abc
+    n_rows = min(block.leave_one_out, SUMMARY_SET_ROWS)
     result: dict[str, Any] = {}
     for name in SETS:
-        kinds = kinds_of(name, known)
-        if not kinds:
+        chosen = kinds_of(name, kinds)
+        if not chosen:
             result[name] = {"refused": missing[SETS[name][0]]}
             continue
-        worth = summary_set(
-            make_table(settings, table, {kind: known[kind] for kind in kinds}),
-            block.fraction,
-            block.bootstrap,
-            min(block.leave_one_out, SUMMARY_SET_ROWS),
-            lambda name: stream(settings.seed, f"abc/sets/{name}", 0),
+        table = samples.points(settings, {kind: kinds[kind] for kind in chosen})
+        rng = _streams(settings.seed, "abc/sets")
+        result[name] = to_json_types(
+            dataclasses.asdict(summary_set(table, block.fraction, block.bootstrap, n_rows, rng))
         )
-        result[name] = plain(dataclasses.asdict(worth))
     return result

@@ -1,18 +1,24 @@
-"""What the stage `abc` reads: the table of samples, and the summaries of samples, observation and null test."""
+"""What the stages `abc` and `exclusion` share: the samples with their summaries, and the files of the answer."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens import __version__
+from warmlens.artifacts.chain import check_chains
+from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, atomic_path, open_artifact
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE, Summary
 from warmlens.inference.table import Table
-from warmlens.products.samples import OK, null
-from warmlens.stages.settings import AbcSettings
+from warmlens.products.samples import OK
+from warmlens.stage_table import AbcSettings
+from warmlens.stages.job import Job
 from warmlens.stages.summaries import COMBINED
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -20,8 +26,95 @@ _SAMPLES = ("sample_id", "m_th_kev", "log10_m_halo_msun", "status")
 _GRIDS = {"correlation": "separation", "cumulative": "thresholds", "counts": "count_thresholds"}
 
 
+@dataclass(frozen=True)
+class Samples:
+    """The samples of a campaign and their summaries, all bands together.
+
+    Attributes
+    ----------
+    table
+        Parameters and fate of all samples, one row each.
+    good
+        Rows that did not fail [n]; only these have summaries.
+    summaries, grids
+        Summaries of samples, observation and null test by name, and the grids that they are taken on.
+    null_id, n_null_failed
+        Numbers of the null test's mocks that have summaries, and how many failed.
+    warnings
+        Of the smooth model, and of failed samples.
+    """
+
+    table: pd.DataFrame
+    good: BoolArray
+    summaries: Mapping[str, Summary]
+    grids: Mapping[str, FloatArray]
+    null_id: IntArray
+    n_null_failed: int
+    warnings: list[str]
+
+    @property
+    def parameters(self) -> FloatArray:
+        """Relic mass [keV] and log10 of the halo mass of the good samples [n_good, 2]."""
+        return self.table[self.good][["m_th_kev", "log10_m_halo_msun"]].to_numpy()
+
+    def points(self, settings: AbcSettings, kinds: Mapping[str, Summary]) -> Table:
+        """Return the good samples with some kinds of summaries as points, by name."""
+        rows, prior = self.table[self.good], settings.dark_matter
+        try:
+            return Table(
+                rows["sample_id"].to_numpy(),
+                rows["m_th_kev"].to_numpy(),
+                rows["log10_m_halo_msun"].to_numpy(),
+                prior.m_th_kev,
+                prior.log10_m_halo_msun,
+                tuple(kind.samples for kind in kinds.values()),
+                tuple(kind.observed for kind in kinds.values()),
+                tuple(kinds),
+            )
+        except ValueError as error:
+            raise ArtifactError(f"the table of samples cannot be used: {error}") from error
+
+
+def read_samples(job: Job[Any]) -> Samples:
+    """Read the samples of a campaign, after checking the chain of all that they come from.
+
+    Raises
+    ------
+    ArtifactError
+        If the chain does not hold, samples are missing, or more failed than `abc.max_failed_fraction` allows.
+    """
+    settings: AbcSettings = job.settings
+    check_chains(job.sources.values(), settings.upstream)
+    table = read_table(job.paths("summaries"), settings.n_samples)
+    good = (table["status"] == OK).to_numpy()
+    with job.open("smooth_model") as smooth_model:
+        warnings = list(smooth_model.metadata["warnings"])
+    warnings += _check_failures(table, good, settings.abc.max_failed_fraction)
+    with job.open("observed_summary") as observed:
+        response = RESPONSE if "amplitude" in observed.settings["scan"]["statistics"] else ()
+        names = (*PAPER, *COUNTS, *response)
+        grids = {name: observed.array(grid) for name, grid in _GRIDS.items()}
+        target = _arrays(observed, names)
+    chunks = []
+    for path in job.paths("summaries"):
+        with open_artifact(path, "summaries") as artifact:
+            chunks.append(_arrays(artifact, names))
+    nulls = {name: np.empty((0, *values.shape)) for name, values in target.items()}
+    null_id, n_null_failed = np.empty(0, dtype=np.int64), 0
+    if "null_summaries" in job.inputs:
+        with job.open("null_summaries") as artifact:
+            done = artifact.array("samples/status") == OK
+            nulls = {name: values[done] for name, values in _arrays(artifact, names).items()}
+            null_id, n_null_failed = artifact.array("samples/sample_id")[done], int((~done).sum())
+    summaries = {}
+    for name in names:
+        rows = np.concatenate([chunk[name] for chunk in chunks])[: len(good)]  # chunks may reach beyond the last
+        summaries[name] = Summary(rows[good], target[name], nulls[name])
+    return Samples(table, good, summaries, grids, null_id, n_null_failed, warnings)
+
+
 def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
-    """Parameters and fate of samples 0..n_samples-1, in order.
+    """Read parameters and fate of samples 0..n_samples-1, in order.
 
     Raises
     ------
@@ -45,20 +138,8 @@ def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
     return table
 
 
-def usable_table(
-    summaries: Sequence[Path], smooth_model: Path, n_samples: int, max_failed_fraction: float
-) -> tuple[pd.DataFrame, BoolArray, list[str]]:
-    """Table of all samples, which of them did not fail [n], and what to warn of: smooth model, failures.
-
-    Raises
-    ------
-    ArtifactError
-        If samples are missing, or more than `max_failed_fraction` of them failed.
-    """
-    with open_artifact(smooth_model, "smooth_model") as artifact:
-        warnings = list(artifact.metadata["warnings"])
-    table = read_table(summaries, n_samples)
-    good = (table["status"] == OK).to_numpy()
+def _check_failures(table: pd.DataFrame, good: BoolArray, max_failed_fraction: float) -> list[str]:
+    """Return a warning of the failed samples, if there are any; refuse too many."""
     n_failed = int((~good).sum())
     if n_failed > max_failed_fraction * len(table):
         first = table[~good].iloc[0]
@@ -67,51 +148,7 @@ def usable_table(
             f"{max_failed_fraction:g} allows; sample {first['sample_id']}: {first['message']} (the tracebacks are "
             "in the artifacts)"
         )
-    if n_failed:
-        warnings.append(f"{n_failed} of {len(table)} samples failed and are left out")
-    return table, good, warnings
-
-
-def read_summaries(
-    summaries: Sequence[Path], observed: Path, null_summaries: Path | None, good: BoolArray
-) -> tuple[dict[str, Summary], dict[str, FloatArray]]:
-    """Summaries of all bands together by name, and the grids that they are taken on.
-
-    Parameters
-    ----------
-    summaries
-        Of the chunks of samples, in order.
-    observed, null_summaries
-        Of the observation, and of the null test if there is one.
-    good
-        Samples that have summaries [n]; those after the n-th are left out too.
-    """
-    with open_artifact(observed, "observed_summary") as artifact:
-        response = RESPONSE if "amplitude" in artifact.settings["scan"]["statistics"] else ()
-        names = (*PAPER, *COUNTS, *response)
-        grids = {name: artifact.array(grid) for name, grid in _GRIDS.items()}
-        target = _arrays(artifact, names)
-    chunks = []
-    for path in summaries:
-        with open_artifact(path, "summaries") as artifact:
-            chunks.append(_arrays(artifact, names))
-    nulls = {name: np.empty((0, *values.shape)) for name, values in target.items()}
-    if null_summaries is not None:
-        with open_artifact(null_summaries, null("summaries")) as artifact:
-            done = artifact.array("samples/status") == OK
-            nulls = {name: values[done] for name, values in _arrays(artifact, names).items()}
-    found = {}
-    for name in names:
-        rows = np.concatenate([chunk[name] for chunk in chunks])[: len(good)][good]
-        found[name] = Summary(rows, target[name], nulls[name])
-    return found, grids
-
-
-def read_null_table(null_summaries: Path) -> tuple[IntArray, int]:
-    """Numbers of the null test's mocks that have summaries, and how many failed."""
-    with open_artifact(null_summaries, null("summaries")) as artifact:
-        done = artifact.array("samples/status") == OK
-        return artifact.array("samples/sample_id")[done], int((~done).sum())
+    return [f"{n_failed} of {len(table)} samples failed and are left out"] if n_failed else []
 
 
 def _arrays(artifact: Artifact, names: Sequence[str]) -> dict[str, FloatArray]:
@@ -119,30 +156,25 @@ def _arrays(artifact: Artifact, names: Sequence[str]) -> dict[str, FloatArray]:
 
 
 def scalars(summaries: Mapping[str, Summary], grids: Mapping[str, FloatArray]) -> dict[str, Summary]:
-    """Single numbers of the summaries that tell at a glance where the observation lies."""
-    found = {
+    """Return single numbers of the summaries, which show at a glance where the observation lies."""
+    numbers = {
         f"positions_below_{threshold:g}": summaries["counts"].each(lambda values, i=i: values[..., i])  # type: ignore[misc]
         for i, threshold in enumerate(grids["counts"])
     }
-    found["correlation_at_0"] = summaries["correlation"].each(lambda values: values[..., 0])
-    found["chi2"] = summaries["chi2"]
+    numbers["correlation_at_0"] = summaries["correlation"].each(lambda values: values[..., 0])
+    numbers["chi2"] = summaries["chi2"]
     if "mean_z2" in summaries:
-        found["mean_z2"] = summaries["mean_z2"]
-    return found
+        numbers["mean_z2"] = summaries["mean_z2"]
+    return numbers
 
 
-def make_table(settings: AbcSettings, table: pd.DataFrame, points: Mapping[str, Summary]) -> Table:
-    """The good samples with some kinds of summaries as points, by name."""
-    try:
-        return Table(
-            table["sample_id"].to_numpy(),
-            table["m_th_kev"].to_numpy(),
-            table["log10_m_halo_msun"].to_numpy(),
-            settings.dark_matter.m_th_kev,
-            settings.dark_matter.log10_m_halo_msun,
-            tuple(item.samples for item in points.values()),
-            tuple(item.observed for item in points.values()),
-            tuple(points),
-        )
-    except ValueError as error:
-        raise ArtifactError(f"the table of samples cannot be used: {error}") from error
+def write_answer(
+    job: Job[Any], datasets: Mapping[str, Dataset], metadata: Mapping[str, Any], table: pd.DataFrame, **extra: Any
+) -> None:
+    """Write the artifact of an answer, and beside it its table as CSV and its numbers as JSON with `extra`."""
+    digest = job.write(datasets, metadata, seed_key=f"{job.settings.seed}/{job.stage.name}")
+    with atomic_path(job.output.with_suffix(".csv")) as temporary:
+        table.to_csv(temporary, index=False)
+    head = {"package_version": __version__, "artifact": job.output.name, "artifact_digest": digest}
+    with atomic_path(job.output.with_suffix(".json")) as temporary:
+        temporary.write_text(json.dumps({**head, **metadata, **extra}, indent=2, allow_nan=False) + "\n")
