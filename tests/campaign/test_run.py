@@ -141,7 +141,7 @@ def test_interrupt_is_waited_for_and_says_how_to_go_on(tmp_path: Path) -> None:
         assert "`warmlens resume results/here` goes on" in process.stdout.read()
 
 
-def test_progress_is_told_when_it_changes_and_a_damaged_artifact_ends_nothing(campaign: Path) -> None:
+def test_progress_is_printed_when_it_changes_and_a_damaged_artifact_ends_nothing(campaign: Path) -> None:
     (campaign / "observation.h5").write_bytes(b"no HDF5")
     done = subprocess.run(
         [sys.executable, "-c", _watching("import time, sys; time.sleep(4); sys.exit(3)", patience=0.1)],
@@ -151,7 +151,7 @@ def test_progress_is_told_when_it_changes_and_a_damaged_artifact_ends_nothing(ca
     )
     assert done.returncode == 3, done.stderr
     said = done.stdout.splitlines()
-    assert len(said) == 1 and "cannot be told: results/here/observation.h5: not a readable HDF5 file" in said[0]
+    assert len(said) == 1 and "progress is not known: results/here/observation.h5: not a readable HDF5 file" in said[0]
 
 
 def test_times_in_the_future_are_brought_back(campaign: Path, called: list[list[str]]) -> None:

@@ -35,6 +35,12 @@ def as_demo(finished: Project, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     return tmp_path
 
 
+def test_the_rule_of_the_example_is_that_of_the_stage_it_resembles() -> None:
+    (shown,) = blocks("extending.md", "snakemake")
+    (rule,) = re.findall(r"^rule summaries:\n.*", (ROOT / "workflow/rules/summaries.smk").read_text(), re.M | re.S)
+    assert shown == rule.replace("summaries", "islands")
+
+
 def test_extensions(as_demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names: dict[str, Any] = {"__name__": "extending"}
     for code in blocks("extending.md", "python"):
@@ -56,7 +62,7 @@ def test_extensions(as_demo: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert names["islands_below"](delta_r, valid, -10.0).tolist() == [2.0, 0.0]
     valid[3, 4] = False
     assert names["islands_below"](delta_r, valid, -10.0).tolist() == [1.0, 0.0]
-    assert names["found"].bounds["q0455"].k == 4
+    assert names["analysis"].bounds["q0455"].k == 4
     said = capsys.readouterr().out
     assert "nat over the prior" in said
 

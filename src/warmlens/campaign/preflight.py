@@ -1,4 +1,4 @@
-"""What can go wrong with images and positions, checked before the first job: `warmlens validate`."""
+"""Checks of images and positions before the first job: `warmlens validate`."""
 
 from __future__ import annotations
 
@@ -19,19 +19,18 @@ _FAR_IN_PIXELS = 2.0
 
 
 def check_observation(config: Config) -> list[str]:
-    """Read the images as the campaign will, and say where they lie on the sky and the quasars on them.
+    """Read the images as the campaign will, and describe their pixels and the quasar images on them.
 
     Returns
     -------
     lines
-        For the user: grid and orientation, then a line for each quasar image and band of a FITS observation, and
-        one for each band whose noise is correlated.
-        Empty for an observation that another campaign makes.
+        Grid and orientation of a FITS observation, one line per quasar image and band, and one per band whose
+        noise is correlated. Empty for an observation that another campaign makes.
 
     Raises
     ------
     ConfigError
-        One line per problem: a file that cannot be used, a field of subhaloes that does not cover the image, a
+        One line per problem: a file that cannot be used, a field of subhalos that does not cover the image, a
         quasar image outside of it.
     """
     observation = config.observation
@@ -69,7 +68,7 @@ def check_observation(config: Config) -> list[str]:
 
 
 def describe_grid(grid: PixelGrid) -> str:
-    """Size, origin and orientation of an image as a viewer shows it, row 0 at the bottom."""
+    """Return size, origin and orientation of an image as a viewer shows it, row 0 at the bottom."""
     axes = np.array(grid.axes)
     north = np.rad2deg(
         np.arctan2(axes[1, 0], axes[1, 1])
@@ -96,7 +95,7 @@ def _quasars_off_the_image(grid: PixelGrid, quasars: FloatArray) -> list[str]:
 
 
 def _quasar_lines(grid: PixelGrid, band: Band, quasars: FloatArray) -> list[str]:
-    """How far the brightest pixel near each quasar image is from it; far if positions or orientation are wrong."""
+    """Return how far each quasar image is from the brightest pixel near it: far if positions or axes are wrong."""
     x, y = grid.coordinates()
     lines = []
     for number, (quasar_x, quasar_y) in enumerate(quasars):
@@ -115,7 +114,7 @@ def _quasar_lines(grid: PixelGrid, band: Band, quasars: FloatArray) -> list[str]
 
 
 def _noise_lines(band: Band, block: FitsBandBlock, grid: PixelGrid) -> list[str]:
-    """How noise is correlated, and where it was measured also its rms."""
+    """Return how noise is correlated, and its rms if it was measured in the image."""
     if band.noise.correlation is None:
         return []
     row, column, diagonal = neighbours(band.noise.correlation)

@@ -35,7 +35,7 @@ def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str
     cores
         Jobs at a time; 0: all cores of this machine, or what a profile among `extra` says.
     extra
-        Passed to Snakemake as they are: targets and flags.
+        Targets and flags, which go to Snakemake as they are.
 
     Raises
     ------
@@ -52,35 +52,6 @@ def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str
     own_profile = any(word.startswith("--workflow-profile") for word in extra)
     size = None if own_profile and not cores else cores or default_cores()
     return _watch([SNAKEMAKE, *arguments(size, overlays, extra)], results, cores or default_cores())
-
-
-def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:
-    """Lift the lock that a killed Snakemake left in its working folder.
-
-    Raises
-    ------
-    LockedError
-        If it is not certain that its owner is gone.
-    """
-    if locks.is_locked(folder):
-        locks.check_abandoned(folder)
-        print("the last run was killed; its lock is lifted, what it had finished is kept", flush=True)
-        subprocess.run([SNAKEMAKE, *arguments(1, overlays), "--unlock", "--quiet"], cwd=folder, check=True)
-    locks.forget_gone(folder)
-
-
-def bring_back_from_the_future(results: Path) -> None:
-    """Give files that are newer than now, as after a clock was set back, the time that it is.
-
-    Snakemake takes what is made now from such a file for outdated, and fails. What was made from what is in the
-    artifacts themselves.
-    """
-    now = time.time()
-    future = [path for path in results.rglob("*") if path.is_file() and path.stat().st_mtime > now]
-    for path in future:
-        os.utime(path, (now, now))
-    if future:
-        print(f"{len(future)} files in {results} had times in the future (a clock set back?), now the present one")
 
 
 def resume(results: Path, cores: int, extra: Sequence[str]) -> int:
@@ -109,13 +80,43 @@ def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str]) -> i
     return run([path], results, cores, extra)
 
 
-def _read_own(results: Path) -> dict[str, Any]:
-    """Configuration of the campaign in `results`, which must lie where it says.
+def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:
+    """Lift the lock that a killed Snakemake left in its working folder.
 
     Raises
     ------
-    ArtifactError
-        If the folder was moved: Snakemake would begin anew where it was.
+    LockedError
+        If it is not certain that its owner is gone.
+    """
+    if locks.is_locked(folder):
+        locks.check_abandoned(folder)
+        print("the last run was killed; its lock is lifted, what it had finished is kept", flush=True)
+        subprocess.run([SNAKEMAKE, *arguments(1, overlays), "--unlock", "--quiet"], cwd=folder, check=True)
+    locks.forget_gone(folder)
+
+
+def bring_back_from_the_future(results: Path) -> None:
+    """Give files that are newer than now, as after a clock was set back, the present time.
+
+    Snakemake would take everything that is computed now from such a file for outdated, and fail.
+    """
+    now = time.time()
+    future = [path for path in results.rglob("*") if path.is_file() and path.stat().st_mtime > now]
+    for path in future:
+        os.utime(path, (now, now))
+    if future:
+        print(f"{len(future)} files in {results} had times in the future (a clock set back?), now the present one")
+
+
+def default_cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0))
+
+
+def _read_own(results: Path) -> dict[str, Any]:
+    """Return the configuration of the campaign in `results`, which must lie where its configuration says.
+
+    In a folder that was moved Snakemake would start from nothing at the old place.
     """
     read_campaign(results)
     recorded = recorded_results(results)
@@ -129,7 +130,7 @@ def _read_own(results: Path) -> dict[str, Any]:
 
 
 def _watch(command: Sequence[str], results: Path, cores: int) -> int:
-    """Run a command, say every now and then how far the campaign is, and hand signals on."""
+    """Run a command, print the progress of the campaign now and then, and hand signals on."""
 
     def stop(number: int, _: FrameType | None) -> None:
         process.send_signal(number)
@@ -147,33 +148,23 @@ def _watch(command: Sequence[str], results: Path, cores: int) -> int:
         handlers[signal.SIGINT] = interrupted
         before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
         try:
-            _tell_progress(process, results, cores)
+            _print_progress(process, results, cores)
         finally:
             for number, handler in before.items():
                 signal.signal(number, handler)
     return process.returncode
 
 
-def _tell_progress(process: subprocess.Popen[bytes], results: Path, cores: int) -> None:
-    """Until a process ends, print how far the campaign is whenever that has changed."""
-    said, last = "", time.monotonic()
+def _print_progress(process: subprocess.Popen[bytes], results: Path, cores: int) -> None:
+    """Until a process ends, print the progress of the campaign whenever it has changed."""
+    printed, last = "", time.monotonic()
     while process.poll() is None:
         time.sleep(_POLL_SECONDS)
         if time.monotonic() - last > _REPORT_SECONDS and (results / CONFIG).is_file():
-            line = _progress(results, cores)
-            if line != said:
+            try:
+                line = progress_line(campaign_status(read_campaign(results)), cores)
+            except (ArtifactError, ConfigError) as error:  # ends nothing: the run itself may mend it
+                line = f"the progress is not known: {error}"
+            if line != printed:
                 print(line, flush=True)
-            said, last = line, time.monotonic()
-
-
-def _progress(results: Path, cores: int) -> str:
-    """How far the campaign is; an artifact that cannot be read is said, and ends nothing."""
-    try:
-        return progress_line(campaign_status(read_campaign(results)), cores)
-    except (ArtifactError, ConfigError) as error:
-        return f"how far the campaign is cannot be told: {error}"
-
-
-def default_cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0))
+            printed, last = line, time.monotonic()

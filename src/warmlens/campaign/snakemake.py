@@ -1,4 +1,4 @@
-"""How Snakemake is called: by the front end, and in the words of messages."""
+"""Command lines of Snakemake, for `campaign.run` and for messages."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ SNAKEMAKE = str(Path(sys.executable).parent / "snakemake")
 
 
 def arguments(cores: int | str | None, overlays: Sequence[Path], extra: Sequence[str] = ()) -> list[str]:
-    """Arguments of Snakemake for config.yaml and overlays.
+    """Return the arguments of Snakemake for config.yaml and overlays.
 
     Parameters
     ----------
     cores
-        Jobs at a time, or "all"; None if a profile among `extra` says it.
+        Jobs at a time, or "all"; None if a profile among `extra` sets them.
     overlays
         Configuration files, later ones win.
     extra
@@ -32,25 +32,17 @@ def arguments(cores: int | str | None, overlays: Sequence[Path], extra: Sequence
 
 
 def snakemake_command(overlays: Sequence[Path], cores: int | str = "all") -> str:
-    """The command line of a campaign, for people to type."""
+    """Return the command line of a campaign, for people to type."""
     return shlex.join(["snakemake", *arguments(cores, overlays)])
 
 
 def recorded_results(results: Path) -> Path:
-    """Results folder as its configuration names it, from the folder that Snakemake runs in."""
+    """Return the results folder as its configuration names it, from the folder that Snakemake runs in."""
     return Path(json.loads((results / CONFIG).read_text())["results"])
 
 
 def remaking_command(results: Path, *names: str) -> str:
-    """What makes the campaign of a results folder, or some of its files, with the configuration of its last run.
-
-    Parameters
-    ----------
-    results
-        Results folder with the configuration in it.
-    names
-        Paths under it; the whole campaign unless given.
-    """
+    """Return the command that makes a campaign, or some files below its folder, with its last configuration."""
     root = recorded_results(results)
     command = snakemake_command([root / CONFIG])  # as the workflow calls them
     return " ".join([command, "--", shlex.join(str(root / name) for name in names)]) if names else command

@@ -1,4 +1,4 @@
-"""Command line for people: start, watch, check and look at a campaign. The stages are in `cli.stages`."""
+"""Commands for people: start, watch, check and look at a campaign. `cli.stages` has those of the workflow."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import logging
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Optional
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -21,11 +21,11 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 
 Output = Annotated[Path, typer.Option(help="File to write.")]
 ConfigFiles = Annotated[
-    Optional[list[Path]],  # noqa: UP045 (typer reads the annotation at run time)
+    list[Path] | None,
     typer.Option("--configfile", help="Overlays on config.yaml, later ones win."),
 ]
 Artifacts = Annotated[
-    Optional[list[str]],  # noqa: UP045
+    list[str] | None,
     typer.Option(help="stage=path of an input; repeat the option."),
 ]
 Results = Annotated[Path, typer.Argument(help="Results folder of a campaign.")]
@@ -35,14 +35,13 @@ _PASSED_ON = {"allow_extra_args": True}  # to Snakemake
 
 @app.command(context_settings=_PASSED_ON)
 def run(context: typer.Context, configfile: ConfigFiles = None, cores: Cores = 0) -> None:
-    """Start or go on with the campaign of config.yaml and overlays; what follows `--` goes to Snakemake.
+    """Start the campaign of config.yaml and overlays, or go on with it; what follows `--` goes to Snakemake.
 
-    Among it can be another profile: `-- --workflow-profile workflow/profiles/slurm`.
+    Another profile goes there too: `-- --workflow-profile workflow/profiles/slurm`.
     """
     from warmlens.campaign import run as front_end
 
-    results = Path(_load(configfile).results)
-    raise typer.Exit(front_end.run(configfile or [], results, cores, context.args))
+    raise typer.Exit(front_end.run(configfile or [], Path(_load(configfile).results), cores, context.args))
 
 
 @app.command(context_settings=_PASSED_ON)
@@ -60,7 +59,7 @@ def extend(
     n_samples: Annotated[int, typer.Argument(help="Samples in all, more than there are.")],
     cores: Cores = 0,
 ) -> None:
-    """Raise the number of samples of a campaign; nothing that is finished is computed again."""
+    """Raise the number of samples of a campaign; finished work is kept."""
     from warmlens.campaign import run as front_end
 
     raise typer.Exit(front_end.extend(results, n_samples, cores, context.args))
@@ -79,7 +78,7 @@ def status(
 
 @app.command()
 def result(results: Results) -> None:
-    """Print the bound of a finished campaign, or what its grid excludes, what stands beside it, where to look."""
+    """Print the bound of a finished campaign, or what its grid excludes, with its checks and where to look."""
     from warmlens.report.exclusion import is_grid, print_exclusion
     from warmlens.report.result import print_result
 
@@ -89,9 +88,9 @@ def result(results: Results) -> None:
 @app.command()
 def report(
     results: Results,
-    output: Annotated[Optional[Path], typer.Option(help="HTML file; RESULTS/report.html unless given.")] = None,  # noqa: UP045
+    output: Annotated[Path | None, typer.Option(help="HTML file; RESULTS/report.html unless given.")] = None,
 ) -> None:
-    """Write one self-contained HTML page with everything that a finished campaign found."""
+    """Write one self-contained HTML page with all results of a finished campaign."""
     from warmlens.report.campaign_page import write_report
 
     typer.echo(write_report(results, output))
@@ -101,9 +100,9 @@ def report(
 def show(
     results: Results,
     sample: Annotated[int, typer.Argument(help="Number of the sample, from 0.")],
-    output: Annotated[Optional[Path], typer.Option(help="HTML file; under RESULTS/samples unless given.")] = None,  # noqa: UP045
+    output: Annotated[Path | None, typer.Option(help="HTML file; under RESULTS/samples unless given.")] = None,
 ) -> None:
-    """Write one self-contained HTML page of a sample: subhaloes, deflection, mock, scan and summaries."""
+    """Write one self-contained HTML page of a sample: subhalos, deflection, mock, scan and summaries."""
     from warmlens.report.sample_page import write_sample
 
     typer.echo(write_sample(results, sample, output))
@@ -111,13 +110,13 @@ def show(
 
 @app.command()
 def figure(
-    name: Annotated[str, typer.Argument(help="Of a campaign's figure, or 1 to 8: the paper's.")],
+    name: Annotated[str, typer.Argument(help="Name of a campaign's figure, or 1 to 8: the paper's.")],
     output: Annotated[
         Path, typer.Option(help="Picture to write (.png, .pdf, .svg); its data go beside it as .csv.")
     ],
     artifact: Artifacts = None,
     results: Annotated[
-        Optional[list[Path]],  # noqa: UP045
+        list[Path] | None,
         typer.Option(help="Results folder of a campaign; repeat the option to compare several in Figs. 6 and 7."),
     ] = None,
     configfile: ConfigFiles = None,
@@ -131,16 +130,16 @@ def figure(
     elif results:
         registry.write_from_results(name, results, output)
     else:
-        inputs = {key: Path(path) for key, _, path in (item.partition("=") for item in artifact or [])}
+        inputs = {key: Path(path) for key, _, path in (word.partition("=") for word in artifact or [])}
         registry.write_from_artifacts(name, inputs, output)
 
 
 @app.command()
 def combine(
     results: Annotated[list[Path], typer.Argument(help="Results folders of campaigns, each of another lens.")],
-    output: Annotated[Optional[Path], typer.Option(help="JSON file for the numbers.")] = None,  # noqa: UP045
+    output: Annotated[Path | None, typer.Option(help="JSON file for the numbers.")] = None,
 ) -> None:
-    """Combine lenses: the product of their likelihood ratios in the relic mass, and its bound."""
+    """Multiply the likelihood ratios of several lenses in the relic mass, and print the bound."""
     from warmlens.report.combination import combine_results
 
     combine_results(results, output)
@@ -154,7 +153,7 @@ def audit(
         bool, typer.Option("--json", help="Print JSON for scripts (docs/audit.md has the keys).")
     ] = False,
 ) -> None:
-    """Re-hash every file and follow the chain from the posterior to the observation; exit code 1 if not well."""
+    """Hash every file and follow the chain from the posterior to the observation; exit code 1 if any is wrong."""
     from warmlens.audit.campaign import audit_campaign
     from warmlens.audit.manifest import artifact_files, derived_files
     from warmlens.audit.report import as_json, print_audit
@@ -164,19 +163,19 @@ def audit(
     config = _load_campaign(configfile) if configfile else read_campaign(results)
     config = config.model_copy(update={"results": str(results)})
     with progress("audit", [*artifact_files(config), *derived_files(config)]) as done:
-        found = audit_campaign(config, done)
+        checked = audit_campaign(config, done)
     if json_:
-        typer.echo(as_json(found))
+        typer.echo(as_json(checked))
     else:
-        print_audit(found)
-    raise typer.Exit(0 if found.sound else 1)
+        print_audit(checked)
+    raise typer.Exit(0 if checked.sound else 1)
 
 
 @app.command()
 def manifest(
     results: Results,
     license_url: Annotated[
-        Optional[str],  # noqa: UP045
+        str | None,
         typer.Option("--license", help="URL of the license of the data, for the RO-Crate."),
     ] = None,
 ) -> None:
@@ -201,7 +200,7 @@ def branch(
     base: Annotated[Path, typer.Argument(help="Results folder of the campaign to start from.")],
     configfile: ConfigFiles = None,
 ) -> None:
-    """Start a campaign from another one: what the change leaves as it is is linked, not made again."""
+    """Start a campaign from another one: artifacts that the change does not affect are hard-linked."""
     from warmlens.campaign.branch import branch as take_over
     from warmlens.campaign.snakemake import snakemake_command
 
@@ -213,7 +212,7 @@ def branch(
         typer.echo(f"{stage.stage}: {stage.n_linked} linked, {stage.n_there} in place, {left} to make{gone}")
     if config.observation.kind == "simulated" and not stages[0].complete:
         typer.echo(
-            "The simulated observation is made anew, with other content. To keep the image set "
+            "The simulated observation will be another one. To keep the image set "
             f"observation: {{kind: artifact, artifact: {base / 'observation.h5'}}}"
         )
     typer.echo(f"now run: {snakemake_command(configfile or [])}")
@@ -227,9 +226,9 @@ def systematics(
     configfile: ConfigFiles = None,
     cores: Annotated[int, typer.Option(help="For Snakemake.")] = 2,
 ) -> None:
-    """Run variants of a campaign on the same observation, and tell how the bound and the scan move.
+    """Run variants of a campaign on the same observation, and print how the bound and the scan move.
 
-    With --configfile they are variants of this campaign, not of the one that the file names, and go to
+    With --configfile these are variants of that campaign, not of the one that the file names, and go to
     RESULTS_systematics.
     """
     from warmlens.systematics.run import run
@@ -239,7 +238,7 @@ def systematics(
 
 @app.command()
 def validate(configfile: ConfigFiles = None) -> None:
-    """Check config.yaml, overlays and the images that they name: one line per problem."""
+    """Check config.yaml, overlays and the images that they name; print one line per problem."""
     from warmlens.campaign.files import chunks, shards
     from warmlens.campaign.preflight import check_observation
 
@@ -291,7 +290,7 @@ def _load_campaign(overlays: list[Path] | None) -> Config:
 
 
 def main() -> None:
-    """Run the command line; errors of the user or of an input end with a message, not with a traceback."""
+    """Run the command line. Errors of the user or of an input end with a message, not with a traceback."""
     runtime.prepare()  # before anything numerical is imported
     from warmlens.artifacts.file import ArtifactError
     from warmlens.campaign.locks import LockedError

@@ -1,4 +1,4 @@
-"""How far a command is, on stderr, where that is a terminal."""
+"""Progress of a command on stderr, where that is a terminal."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.progress import BarColumn, DownloadColumn, Progress, TextColumn, TimeR
 
 @contextlib.contextmanager
 def progress(title: str, paths: Iterable[Path]) -> Iterator[Callable[[Path], None]]:
-    """A bar that runs to the end as each of `paths` is told to the function that is returned; gone afterwards."""
+    """Show a bar that advances when the function that is returned is called with each of `paths`."""
     sizes = {path: path.stat().st_size for path in paths if path.is_file()}
     console = Console(stderr=True)
     columns = (TextColumn(title), BarColumn(), DownloadColumn(), TimeRemainingColumn())

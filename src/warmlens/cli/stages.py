@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Optional
+from typing import Annotated
 
 import typer
 
@@ -23,11 +23,11 @@ def stage(
     ],
     output: Annotated[Path, typer.Option(help="Artifact to write.")],
     input_: Annotated[
-        Optional[list[str]],  # noqa: UP045 (typer reads the annotation at run time)
+        list[str] | None,
         typer.Option("--input", metavar="NAME=FILE", help="Artifact that it reads; repeat the option."),
     ] = None,
     span: Annotated[
-        Optional[tuple[int, int]],  # noqa: UP045
+        tuple[int, int] | None,
         typer.Option(help="First, and last + 1, of the samples or positions to compute."),
     ] = None,
     sample_seconds: Annotated[
