@@ -151,7 +151,10 @@ def test_progress_is_printed_when_it_changes_and_a_damaged_artifact_ends_nothing
     )
     assert done.returncode == 3, done.stderr
     said = done.stdout.splitlines()
-    assert len(said) == 1 and "progress is not known: results/here/observation.h5: not a readable HDF5 file" in said[0]
+    assert (
+        len(said) == 1
+        and "progress is not known: results/here/observation.h5: not a readable HDF5 file" in said[0]
+    )
 
 
 def test_times_in_the_future_are_brought_back(campaign: Path, called: list[list[str]]) -> None:

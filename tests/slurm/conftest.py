@@ -249,7 +249,7 @@ class Campaign:
         while time.monotonic() < deadline:
             for process in psutil.process_iter(["cmdline", "cwd"]):
                 words = process.info["cmdline"] or []
-                if words[1:3] == [str(BIN / "warmlens"), stage] and process.info["cwd"] == str(
+                if words[1:4] == [str(BIN / "warmlens"), "stage", stage] and process.info["cwd"] == str(
                     self.project.folder
                 ):
                     return process

@@ -60,7 +60,9 @@ def worker(project: Project, stage: str) -> psutil.Process:
     while time.monotonic() < deadline:
         for process in psutil.process_iter(["cmdline", "cwd"]):
             words = process.info["cmdline"] or []
-            if words[1:3] == [str(BIN / "warmlens"), stage] and process.info["cwd"] == str(project.folder):
+            if words[1:4] == [str(BIN / "warmlens"), "stage", stage] and process.info["cwd"] == str(
+                project.folder
+            ):
                 return process
         time.sleep(0.02)
     raise AssertionError(f"no {stage} was seen running")

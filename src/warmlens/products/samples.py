@@ -1,4 +1,4 @@
-"""The sample table that every chunk artifact carries, and work sample by sample with recorded failures."""
+"""The table of samples that every chunk artifact carries, and work sample by sample with recorded failures."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class SampleTable:
         return self.status == OK
 
     def datasets(self) -> dict[str, Dataset]:
-        """The table as datasets of an artifact."""
+        """Return the table as datasets of an artifact."""
         p, axes = self.parameters, ("sample",)
         return {
             "samples/sample_id": Dataset(p.sample_id, "", axes, "number of the sample"),
@@ -64,7 +64,7 @@ class SampleTable:
 
     @classmethod
     def read(cls, artifact: Artifact) -> SampleTable:
-        """Table of an earlier stage; its failures become `FAILED_UPSTREAM`."""
+        """Read the table of an earlier stage; its failures become `FAILED_UPSTREAM`."""
         numbers = [artifact.array(f"samples/{name}") for name in (*_PARAMETERS, "status")]
         texts = [artifact.strings(f"samples/{name}") for name in ("message", "traceback")]
         shapes = {array.shape for array in numbers} | {(len(text),) for text in texts}
@@ -80,21 +80,21 @@ class SampleTable:
 
     @classmethod
     def without_substructure(cls, n: int) -> SampleTable:
-        """Table of n mocks of the null test; they have no relic mass and no halo."""
+        """Return the table of n mocks of the null test, which have no relic mass and no halo."""
         nothing = np.full(n, np.nan)
         return cls(Parameters(np.arange(n), nothing, nothing))
 
     def for_each(self, work: Callable[[int], None], label: str, sample_seconds: float = math.inf) -> None:
         """Call `work(row)` for every row that has not failed; record a failure and go on.
 
-        A sample that takes longer than `sample_seconds` has failed; it is not tried again, for it would take as
-        long. Errors of the machine (OSError, MemoryError) and damaged inputs are not the sample's and end the
-        job, as does a chunk of which nothing is left.
+        A sample that takes longer than `sample_seconds` fails, and is not tried again: it would take as long.
+        Errors of the machine (OSError, MemoryError) and damaged inputs are not the sample's and end the job, as
+        does a chunk of which no sample is left.
         """
         rows = np.flatnonzero(self.done)
         start = last = time.monotonic()
         for count, row in enumerate(rows, start=1):
-            if math.isfinite(sample_seconds):  # what hangs in a kernel can say nothing later
+            if math.isfinite(sample_seconds):  # a sample that hangs in a kernel cannot log later
                 log.info("%s: sample %d", label, self.parameters.sample_id[row])
             try:
                 with time_limit(sample_seconds):

@@ -1,4 +1,4 @@
-"""A limit on the time of one sample: one that hangs fails by itself, and does not hold up the campaign."""
+"""A limit on the time of one sample: a sample that hangs fails, and does not hold up the campaign."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GRACE = 2.0  # a job that is still in the same sample after so many limits is en
 
 
 class SampleTimeError(RuntimeError):
-    """A sample that took too long; no TimeoutError, which is an OSError: an error of the machine."""
+    """A sample took too long. It is no TimeoutError: that is an OSError, an error of the machine."""
 
 
 @contextlib.contextmanager

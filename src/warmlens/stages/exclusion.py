@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import logging
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -140,41 +139,38 @@ def _rate_intervals(counts: Exclusion) -> FloatArray:
     )
 
 
+_OF_HALO_MASS = {  # attribute, description
+    "n_samples": ("n_samples", "samples with summaries"),
+    "n_accepted": ("n_accepted", "of these, accepted"),
+    "rate": ("rate", "fraction accepted"),
+    "rate_interval": ("rate_interval", "Clopper-Pearson"),
+    "probability": ("probability", "posterior, relic mass marginalised"),
+    "probability_interval": ("probability_interval", "its counting error"),
+    "cumulative": ("cumulative", "posterior of this and all lower ones"),
+    "cumulative_interval": ("cumulative_interval", "its counting error"),
+    "likelihood_ratio": ("ratio", "likelihood over the best halo mass's"),
+    "likelihood_ratio_interval": ("ratio_interval", "its counting error"),
+    "excluded": ("excluded", "1 where the intervals support it"),
+}
+
+
 def _node_datasets(counts: Exclusion, settings: ExclusionSettings) -> dict[str, Dataset]:
-    masses, grid = ("halo mass",), ("halo mass", "relic mass")
-
-    def column(name: str) -> Any:
-        return np.array([getattr(halo, name) for halo in counts.halo_masses])
-
-    return {
-        "nodes/m_th_kev": Dataset(np.array(settings.nodes.m_th_kev), "keV", ("relic mass",), "thermal relic mass"),
-        "nodes/log10_m_halo_msun": Dataset(
-            column("log10_m_halo_msun"), "dex(Msun)", masses, "log10 of M200c of the host halo"
-        ),
+    halo, relic = ("halo mass",), ("relic mass",)
+    grid = (*halo, *relic)
+    masses = np.array([mass.log10_m_halo_msun for mass in counts.halo_masses])
+    intervals = _rate_intervals(counts)
+    datasets = {
+        "nodes/m_th_kev": Dataset(np.array(settings.nodes.m_th_kev), "keV", relic, "thermal relic mass"),
+        "nodes/log10_m_halo_msun": Dataset(masses, "dex(Msun)", halo, "log10 of M200c of the host halo"),
         "nodes/n_samples": Dataset(counts.n_samples, "", grid, "samples with summaries"),
         "nodes/n_accepted": Dataset(counts.n_accepted, "", grid, "of these, accepted"),
-        "nodes/rate_interval": Dataset(
-            _rate_intervals(counts), "", (*grid, "edge"), "Clopper-Pearson interval of the fraction accepted"
-        ),
+        "nodes/rate_interval": Dataset(intervals, "", (*grid, "edge"), "Clopper-Pearson interval of the fraction"),
         "nodes/probability": Dataset(_probability(counts), "", grid, "posterior, uniform prior on the nodes"),
-        "halo_mass/n_samples": Dataset(column("n_samples"), "", masses, "samples with summaries"),
-        "halo_mass/n_accepted": Dataset(column("n_accepted"), "", masses, "of these, accepted"),
-        "halo_mass/rate": Dataset(column("rate"), "", masses, "fraction accepted"),
-        "halo_mass/rate_interval": Dataset(column("rate_interval"), "", (*masses, "edge"), "Clopper-Pearson"),
-        "halo_mass/probability": Dataset(column("probability"), "", masses, "posterior, relic mass marginalised"),
-        "halo_mass/probability_interval": Dataset(
-            column("probability_interval"), "", (*masses, "edge"), "its counting error"
-        ),
-        "halo_mass/cumulative": Dataset(column("cumulative"), "", masses, "posterior of this and all lower ones"),
-        "halo_mass/cumulative_interval": Dataset(
-            column("cumulative_interval"), "", (*masses, "edge"), "its counting error"
-        ),
-        "halo_mass/likelihood_ratio": Dataset(column("ratio"), "", masses, "likelihood over the best halo mass's"),
-        "halo_mass/likelihood_ratio_interval": Dataset(
-            column("ratio_interval"), "", (*masses, "edge"), "its counting error"
-        ),
-        "halo_mass/excluded": Dataset(column("excluded"), "", masses, "1 where the intervals support it"),
     }
+    for name, (attribute, description) in _OF_HALO_MASS.items():
+        values = np.array([getattr(mass, attribute) for mass in counts.halo_masses])
+        datasets[f"halo_mass/{name}"] = Dataset(values, "", (*halo, "edge")[: values.ndim], description)
+    return datasets
 
 
 def _table_datasets(
