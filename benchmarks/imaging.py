@@ -53,8 +53,8 @@ SMOOTH_LENS = (
 )
 
 
-def field_of_subhaloes(n: int, rng: np.random.Generator) -> Subhalos:
-    """Subhaloes of 10^7 to 10^10 Msun over the field, with the sizes that they have in the campaign."""
+def field_of_subhalos(n: int, rng: np.random.Generator) -> Subhalos:
+    """Subhalos of 10^7 to 10^10 Msun over the field, with the sizes that they have in the campaign."""
     half_width = 0.5 * PIXELS * PIXEL_SCALE + 4.0 * FILTER_ARCSEC
     mass = 1e7 * 10.0 ** rng.exponential(0.5, n).clip(max=3.0)
     r_s = 0.4 * (mass / 1e7) ** 0.4 * 10.0 ** (0.1 * rng.standard_normal(n))
@@ -67,11 +67,11 @@ def field_of_subhaloes(n: int, rng: np.random.Generator) -> Subhalos:
     )  # fmt: skip
 
 
-def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
+def deflections(n_subhalos: int, repeats: int) -> dict[str, float]:
     """Sum of the deflections on the image with its margin, ours and lenstronomy's in turn."""
     geometry = LensGeometry.from_redshifts(Cosmology(), 0.295, 0.658)
     grid = PixelGrid.centred((PIXELS, PIXELS), PIXEL_SCALE)
-    subhalos = field_of_subhaloes(n_subhaloes, np.random.default_rng(1))
+    subhalos = field_of_subhalos(n_subhalos, np.random.default_rng(1))
     r_s, r_t, scale = tnfw_angular_scales(
         subhalos.r_s_kpc,
         subhalos.r_t_kpc,
@@ -80,7 +80,7 @@ def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
         geometry.sigma_crit_msun_kpc2,
     )
     x, y = (axis.ravel() for axis in grid.padded(margin_pixels(FILTER_ARCSEC, PIXEL_SCALE)).coordinates())
-    lens = LensModel(["TNFW"] * n_subhaloes)
+    lens = LensModel(["TNFW"] * n_subhalos)
     kwargs = [
         {
             "Rs": r_s[k],
@@ -89,7 +89,7 @@ def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
             "center_x": subhalos.x_arcsec[k],
             "center_y": subhalos.y_arcsec[k],
         }
-        for k in range(n_subhaloes)
+        for k in range(n_subhalos)
     ]
 
     def ours() -> FloatArray:
@@ -106,7 +106,7 @@ def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
         "deflection_max_relative_error": float(error),
         "deflection_seconds": ours_seconds,
         "filtered_deflection_seconds": map_seconds,
-        "n_subhaloes": n_subhaloes,
+        "n_subhalos": n_subhalos,
     }
 
 
@@ -169,7 +169,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", type=Path, help="file to write")
     parser.add_argument("--repeats", type=int, default=11, help="calls of which the median is taken")
-    parser.add_argument("--quick", action="store_true", help="fewer subhaloes and calls, and no fit")
+    parser.add_argument("--quick", action="store_true", help="fewer subhalos and calls, and no fit")
     arguments = parser.parse_args()
     repeats = 3 if arguments.quick else arguments.repeats
 

@@ -37,7 +37,7 @@ def first_order_fit(low: float, high: float) -> float:
 
 
 def count_accreted(log10_host: float, n_trees: int, branching: str, seed: int) -> FloatArray:
-    """Accreted haloes in the bins of `EDGES`, shape (n_trees, n_bins)."""
+    """Accreted halos in the bins of `EDGES`, shape (n_trees, n_bins)."""
     cosmology, host = Cosmology(), 10.0**log10_host
     variance = filtered_variance(ColdDarkMatter().transfer, cdm_power(cosmology), cosmology, SHARP_K_A)
     table = branching_table(

@@ -62,7 +62,7 @@ def test_impossible_mass_ratio_is_an_error(ratio):
 
 
 @pytest.mark.parametrize(("bound_fraction", "tau"), [(1.0, 7.26), (0.5, 5.67), (0.1, 4.44), (1e-6, 4.13)])
-def test_truncation_of_stripped_subhaloes(bound_fraction, tau, cosmology):
+def test_truncation_of_stripped_subhalos(bound_fraction, tau, cosmology):
     # c = 8: mu(tau) = g(c) sqrt((1+x)/2) whatever mass and redshift
     mass, z, c = np.array([3e9]), np.array([2.0]), np.array([8.0])
     r_max, v_max = profiles.infall_structure(mass, z, c, cosmology)

@@ -61,14 +61,14 @@ def test_deflection_is_the_mean_convergence_inside(tau):
 
 
 def test_divergence_of_the_deflection_is_twice_the_convergence():
-    subhaloes = many(20)
+    subhalos = many(20)
     rng = np.random.default_rng(3)
     x, y = rng.uniform(-3, 3, (2, 200))
     step = 2e-3
-    shifted_x = tnfw_deflection(np.stack([x + step, x - step]), np.stack([y, y]), **subhaloes)[0]
-    shifted_y = tnfw_deflection(np.stack([x, x]), np.stack([y + step, y - step]), **subhaloes)[1]
+    shifted_x = tnfw_deflection(np.stack([x + step, x - step]), np.stack([y, y]), **subhalos)[0]
+    shifted_y = tnfw_deflection(np.stack([x, x]), np.stack([y + step, y - step]), **subhalos)[1]
     divergence = (shifted_x[0] - shifted_x[1] + shifted_y[0] - shifted_y[1]) / (2 * step)
-    kappa = tnfw_convergence(x, y, **subhaloes)
+    kappa = tnfw_convergence(x, y, **subhalos)
     assert np.median(np.abs(divergence / (2 * kappa) - 1)) < 1e-3
 
 
@@ -93,12 +93,12 @@ def test_centre_is_exactly_zero_and_its_surroundings_are_linear():
     assert alpha[0, 1] > 0.0
 
 
-def test_sum_over_subhaloes_is_the_sum_of_each():
-    subhaloes = many(5)
+def test_sum_over_subhalos_is_the_sum_of_each():
+    subhalos = many(5)
     x, y = np.meshgrid(np.linspace(-2, 2, 7), np.linspace(-1, 1, 4))
-    total = tnfw_deflection(x, y, **subhaloes)
+    total = tnfw_deflection(x, y, **subhalos)
     each = [
-        tnfw_deflection(x, y, **{name: value[k : k + 1] for name, value in subhaloes.items()}) for k in range(5)
+        tnfw_deflection(x, y, **{name: value[k : k + 1] for name, value in subhalos.items()}) for k in range(5)
     ]
     assert total.shape == (2, 4, 7)
     np.testing.assert_allclose(total, np.sum(each, axis=0), rtol=1e-12)
@@ -123,7 +123,7 @@ def test_no_subhalo_and_no_ray():
     ],
 )
 @pytest.mark.parametrize("function", [tnfw_deflection, tnfw_convergence])
-def test_bad_subhaloes_are_refused_by_name(function, name, value):
+def test_bad_subhalos_are_refused_by_name(function, name, value):
     with pytest.raises(ValueError, match=rf"{name}\[0\]"):
         function([0.0], [0.0], **(ONE | {name: np.array([value])}))
 

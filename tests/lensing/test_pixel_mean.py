@@ -22,7 +22,7 @@ def _mean(halo: tuple[np.ndarray, ...], n: int = 25) -> np.ndarray:
 
 @pytest.mark.parametrize(("r_s", "r_t"), [(0.02, 0.1), (0.04, 1.0), (0.3, 0.04)])
 @pytest.mark.parametrize("place", [(20.0, 25.0), (20.4, 25.2), (0.3, 24.6)])
-def test_narrow_haloes_are_averaged(place: tuple[float, float], r_s: float, r_t: float) -> None:
+def test_narrow_halos_are_averaged(place: tuple[float, float], r_s: float, r_t: float) -> None:
     halo = _one(*place, r_s, r_t)
     mean, centre = _mean(halo), tnfw_deflection(*GRID.coordinates(), *halo)
     peak = np.abs(mean).max()
@@ -31,7 +31,7 @@ def test_narrow_haloes_are_averaged(place: tuple[float, float], r_s: float, r_t:
         assert np.abs(centre - mean).max() > 0.05 * peak  # what it would be without
 
 
-def test_wide_haloes_are_not() -> None:
+def test_wide_halos_are_not() -> None:
     halo = _one(20.4, 25.2, 0.06, 0.3)
     assert np.array_equal(pixel_deflection(GRID, *halo), tnfw_deflection(*GRID.coordinates(), *halo))
 

@@ -32,7 +32,7 @@ def _subhalos(x: list[float], y: list[float]) -> Subhalos:
     )  # fmt: skip
 
 
-def test_no_subhaloes_no_deflection() -> None:
+def test_no_subhalos_no_deflection() -> None:
     assert not filtered_deflection(_subhalos([], []), GRID, GEOMETRY, 0.4).any()
 
 
@@ -103,7 +103,7 @@ def test_no_mass_is_left_beyond_the_filter(kind: FilterKind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_mean_convergence_of_a_population_vanishes(kind: FilterKind) -> None:
-    """In boxes of 3.25 arcsec, 8 filter widths, of a field full of subhaloes."""
+    """In boxes of 3.25 arcsec, 8 filter widths, of a field full of subhalos."""
     rng = np.random.default_rng(3)
     subhalos = _subhalos(*rng.uniform(-6.0, 6.0, (2, 200)).tolist())
     grid = PixelGrid.centred((130, 130), 0.05)
@@ -133,7 +133,7 @@ def test_filters_agree_on_what_is_small() -> None:
         assert 0.7 < other.std() / gaussian.std() < 1.4
 
 
-def test_smooth_host_holds_what_the_subhaloes_do_not() -> None:
+def test_smooth_host_holds_what_the_subhalos_do_not() -> None:
     cosmology = Cosmology()
     host = SmoothHost.of_halo(10**13.3, 4.0, 0.1, cosmology, 0.295)
     r_200 = float(cosmology.radius_200c(10**13.3, 0.295))
@@ -148,7 +148,7 @@ def test_smooth_host_holds_what_the_subhaloes_do_not() -> None:
 
 
 def test_smooth_host_leaves_its_cusp() -> None:
-    """lenstronomy's NFW through the same filter; it adds to the subhaloes, and far out nothing is left."""
+    """lenstronomy's NFW through the same filter; it adds to the subhalos, and far out nothing is left."""
     host = SmoothHost.of_halo(10**13.3, 4.0, 0.1, Cosmology(), 0.295)
     subhalos = _subhalos([0.3], [0.2])
     grid = PixelGrid.centred((100, 100), 0.05)

@@ -1,4 +1,4 @@
-"""Deflection of truncated NFW subhaloes against lenstronomy."""
+"""Deflection of truncated NFW subhalos against lenstronomy."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_one_truncation(tau):
     np.testing.assert_allclose(tnfw_convergence(rays_x, rays_y, x, y, *scales), convergence, rtol=1e-5)
 
 
-def test_a_field_of_subhaloes_on_pixels():
+def test_a_field_of_subhalos_on_pixels():
     tau = 10 ** np.random.default_rng(8).uniform(-0.5, 1.2, 100)
     x, y, r_s, r_t, rho_s = population(100, tau, seed=9)
     axis = (np.arange(64) - 31.5) * 0.1

@@ -36,7 +36,7 @@ def test_top_hat_sigma_agrees_with_colossus(peer, spectrum):
 
 
 def test_barrier_factor_is_the_ratio_of_the_filters(spectrum):
-    # Benson et al. 2013 raise the barrier by 1.197 to keep the mass function of massive haloes
+    # Benson et al. 2013 raise the barrier by 1.197 to keep the mass function of massive halos
     mass = np.geomspace(1e14, 3e14, 5)
     sharp = np.sqrt(filtered_variance(COLD.transfer, spectrum, COSMOLOGY, 2.5).variance(mass))
     np.testing.assert_allclose(sharp / top_hat_sigma(mass, spectrum, COSMOLOGY), 1.197, rtol=7e-3)
@@ -55,9 +55,9 @@ def test_barrier_factor_is_the_ratio_of_the_filters(spectrum):
     ],
 )
 def test_warm_concentrations_agree_with_schneider_2012(m_th_kev, tolerances, spectrum):
-    # (1 + 15 M_hm/M)^-0.3, a fit to N-body haloes
+    # (1 + 15 M_hm/M)^-0.3, a fit to N-body halos
     relation = ConcentrationRelation()
-    formation = FormationHistory.of_cold_haloes(filtered_variance(COLD.transfer, spectrum, COSMOLOGY, 2.5), 1e16)
+    formation = FormationHistory.of_cold_halos(filtered_variance(COLD.transfer, spectrum, COSMOLOGY, 2.5), 1e16)
     relic = ThermalRelic(m_th_kev, COSMOLOGY)
     warm = filtered_variance(relic.transfer, spectrum, COSMOLOGY, 2.5)
     m_hm = relic.half_mode_mass_msun

@@ -1,4 +1,4 @@
-"""Truncated NFW profiles of drawn subhaloes against lenstronomy."""
+"""Truncated NFW profiles of drawn subhalos against lenstronomy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from warmlens.halos.lens_halo import HaloGenerator, HaloModel
 from warmlens.halos.profiles import nfw_norm, tnfw_projected_mass
 
 
-def test_deflection_of_drawn_subhaloes_agrees_with_lenstronomy():
+def test_deflection_of_drawn_subhalos_agrees_with_lenstronomy():
     from lenstronomy.LensModel.Profiles.tnfw import TNFW
 
     geometry = LensGeometry.from_redshifts(Cosmology(), 0.295, 0.658)

@@ -259,7 +259,7 @@ def test_tables_and_envelope_give_the_same_mass_function(branching, m_th_kev):
 
 
 # Unevolved mass function of warm over that of cold dark matter: between the fits of Lovell et al. 2014
-# (subhaloes), / 1.3, and Schneider et al. 2012 (haloes), * 1.15, above 0.3 M_hm; within 2.5 of the former for
+# (subhalos), / 1.3, and Schneider et al. 2012 (halos), * 1.15, above 0.3 M_hm; within 2.5 of the former for
 # 0.09 < m/M_hm < 1, and far below it further down, where the sharp-k variance has no power left.
 
 
@@ -268,7 +268,7 @@ EDGES = np.arange(7.5, 11.1, 0.5)  # log10(m_acc/Msun)
 
 @pytest.fixture(scope="module")
 def unevolved():
-    """Mean accreted haloes a host of 1e13 Msun in bins of `EDGES`, by particle mass."""
+    """Mean accreted halos a host of 1e13 Msun in bins of `EDGES`, by particle mass."""
     means = {}
     for m_th_kev, n_trees in ((1.0, 1000), (2.0, 1000), (3.3, 500), (math.inf, 80)):
         model = dark_matter(m_th_kev, COSMOLOGY)

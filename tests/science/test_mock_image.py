@@ -23,7 +23,7 @@ N_MAX, BETA, CENTER = 10, 0.18, (-0.503, -0.058)
 TOLERANCE = 1e-6  # of the peak
 
 
-def test_mock_image_with_subhaloes(paper_lens: tuple[list[str], list[dict[str, Any]]]) -> None:
+def test_mock_image_with_subhalos(paper_lens: tuple[list[str], list[dict[str, Any]]]) -> None:
     names, kwargs = paper_lens
     grid = PixelGrid.centred((80, 80), 0.06)
     psf = hst_like_psf(805.0, grid.pixel_scale, 21)
@@ -35,7 +35,7 @@ def test_mock_image_with_subhaloes(paper_lens: tuple[list[str], list[dict[str, A
     alpha = deflection(names, kwargs, x, y) + tnfw_deflection(x, y, center_x, center_y, r_s, r_t, scale)
     ours = lensed_image((shapelets,), coefficients, x - alpha[0], y - alpha[1], Convolution(psf, grid.shape))
 
-    subhaloes = [
+    subhalos = [
         {"Rs": r_s[i], "alpha_Rs": scale[i] * (1.0 - np.log(2.0)), "r_trunc": r_t[i],
          "center_x": center_x[i], "center_y": center_y[i]}
         for i in range(2)
@@ -54,13 +54,13 @@ def test_mock_image_with_subhaloes(paper_lens: tuple[list[str], list[dict[str, A
         kwargs_numerics={"supersampling_factor": 2, "supersampling_convolution": False},
     )
     source = {"amp": coefficients, "n_max": N_MAX, "beta": BETA, "center_x": CENTER[0], "center_y": CENTER[1]}
-    theirs = model.image([*kwargs, *subhaloes], [source], unconvolved=False)
+    theirs = model.image([*kwargs, *subhalos], [source], unconvolved=False)
     theirs = theirs / grid.pixel_scale**2  # per pixel -> surface brightness, the unit of our coefficients
     peak = np.abs(theirs).max()
     assert np.abs(ours - theirs).max() < TOLERANCE * peak
     without = deflection(names, kwargs, x, y)
     smooth = lensed_image((shapelets,), coefficients, x - without[0], y - without[1], Convolution(psf, grid.shape))
-    assert np.abs(smooth - theirs).max() > 1e-2 * peak  # the subhaloes are seen
+    assert np.abs(smooth - theirs).max() > 1e-2 * peak  # the subhalos are seen
 
 
 def test_whole_mock_with_clumps_light_and_quasars(paper_lens: tuple[list[str], list[dict[str, Any]]]) -> None:

@@ -1,4 +1,4 @@
-"""Collapse threshold of warm dark matter haloes."""
+"""Collapse threshold of warm dark matter halos."""
 
 from __future__ import annotations
 

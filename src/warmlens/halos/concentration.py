@@ -1,4 +1,4 @@
-"""Concentrations of cold dark matter haloes, and their mapping to warm dark matter."""
+"""Concentrations of cold dark matter halos, and their mapping to warm dark matter."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class ConcentrationRelation:
 
     @classmethod
     def duffy08(cls, h: float, minimum: float) -> ConcentrationRelation:
-        """Relation of all haloes, 0 < z < 2 (Duffy et al. 2008, table 1, NFW, M200); pivot 2e12 Msun/h."""
+        """Relation of all halos, 0 < z < 2 (Duffy et al. 2008, table 1, NFW, M200); pivot 2e12 Msun/h."""
         return cls(5.71, -0.084, -0.47, 2.0e12 / h, minimum)
 
     def __call__(self, mass_msun: FloatArray | float, z: FloatArray | float) -> FloatArray:
-        """Concentration of cold haloes of mass M200c [Msun] at redshift z; shapes broadcast."""
+        """Concentration of cold halos of mass M200c [Msun] at redshift z; shapes broadcast."""
         mass_term = (np.asarray(mass_msun) / self.pivot_msun) ** self.mass_slope
         redshift_term = (1.0 + np.asarray(z)) ** self.redshift_slope
         return np.maximum(self.amplitude * mass_term * redshift_term, self.minimum)
@@ -60,9 +60,9 @@ def scatter_concentration(
 
 @dataclass(frozen=True)
 class FormationHistory:
-    """Cold haloes by the variance that they gain between 5% of their mass and the whole.
+    """Cold halos by the variance that they gain between 5% of their mass and the whole.
 
-    Two haloes, whatever their dark matter, collapse at the same time if they gain the same variance:
+    Two halos, whatever their dark matter, collapse at the same time if they gain the same variance:
     w(z_c) = w(z) + sqrt(pi/2 [S(fM) - S(M)]), so that pi/2, z and any factor of the barrier cancel.
 
     Attributes
@@ -77,8 +77,8 @@ class FormationHistory:
     ln_mass: FloatArray
 
     @classmethod
-    def of_cold_haloes(cls, cold: SharpKVariance, mass_cap_msun: float) -> FormationHistory:
-        """Tabulate cold haloes up to the mass cap [Msun], which is the longest delay that is mapped."""
+    def of_cold_halos(cls, cold: SharpKVariance, mass_cap_msun: float) -> FormationHistory:
+        """Tabulate cold halos up to the mass cap [Msun], which is the longest delay that is mapped."""
         mass = np.geomspace(mass_cap_msun, _MAP_MIN_MSUN, _MAP_POINTS)
         return cls(np.log(variance_gain(cold, mass)), np.log(mass))
 
@@ -93,5 +93,5 @@ class FormationHistory:
 
 
 def variance_gain(variance: SharpKVariance, mass_msun: FloatArray) -> FloatArray:
-    """S(fM) - S(M) with f = 0.05 for haloes of mass M [Msun]."""
+    """S(fM) - S(M) with f = 0.05 for halos of mass M [Msun]."""
     return variance.variance(COLLAPSED_FRACTION * mass_msun) - variance.variance(mass_msun)

@@ -1,4 +1,4 @@
-"""Models of dark matter: what sets them apart in the power spectrum and in the collapse of haloes."""
+"""Models of dark matter: what sets them apart in the power spectrum and in the collapse of halos."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TRANSFER_INDEX: dict[TransferFunction, float] = {"viel05": 1.12, "bode01": 1.2, 
 
 
 class DarkMatter(Hashable, Protocol):
-    """A model of dark matter, as far as haloes know it.
+    """A model of dark matter, as far as halos know it.
 
     Equal models must compare equal and have the same hash: tables are kept by model. A frozen dataclass
     does both.
@@ -54,7 +54,7 @@ class ColdDarkMatter:
 
     @property
     def resolution_msun(self) -> float:
-        """0: there are haloes of every mass."""
+        """0: there are halos of every mass."""
         return 0.0
 
     def transfer(self, k_hmpc: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""One lens: a halo with its subhaloes, projected on the sky."""
+"""One lens: a halo with its subhalos, projected on the sky."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ __all__ = ["MASS_BINS", "VMAX_BINS", "HaloGenerator", "HaloModel", "HaloRealizat
 
 @dataclass(frozen=True)
 class Subhalos:
-    """Subhaloes, one entry each in every array.
+    """Subhalos, one entry each in every array.
 
     Attributes
     ----------
@@ -58,9 +58,9 @@ class HaloRealization:
     Attributes
     ----------
     subhalos
-        Subhaloes inside the field |x|, |y| <= half_width_arcsec.
+        Subhalos inside the field |x|, |y| <= half_width_arcsec.
     n_accreted
-        Haloes accreted above the resolution; the sum of the next three.
+        Halos accreted above the resolution; the sum of the next three.
     n_friction, n_stripped_below, n_surviving
         Of these: lost to dynamical friction, stripped below min_mass_msun, and left (in the whole halo).
     f_sub
@@ -88,7 +88,7 @@ class HaloRealization:
 
 
 class HaloGenerator:
-    """Draws lens haloes with subhaloes; holds the tables that are the same for every sample.
+    """Draws lens halos with subhalos; holds the tables that are the same for every sample.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ class HaloGenerator:
     Attributes
     ----------
     population
-        Whole haloes at the redshift of the lens, without projection.
+        Whole halos at the redshift of the lens, without projection.
     """
 
     def __init__(self, cosmology: Cosmology, geometry: LensGeometry, model: HaloModel) -> None:
@@ -131,7 +131,7 @@ class HaloGenerator:
         m_halo_msun
             M200c of the host at the redshift of the lens [Msun]; more than twice the resolution.
         half_width_arcsec
-            Half the side of the square field whose subhaloes are kept [arcsec].
+            Half the side of the square field whose subhalos are kept [arcsec].
         rng
             Source of every random number.
         """

@@ -74,7 +74,7 @@ class BranchingTable:
 
 @dataclass(frozen=True)
 class MergerTree:
-    """History of a trunk and the haloes that it accreted directly.
+    """History of a trunk and the halos that it accreted directly.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class MergerTree:
     m_acc_msun, host_mass_msun, clock_acc
         Of each accreted halo: its mass, the mass of the trunk just before, and w of the accretion.
     smooth_mass_msun
-        Mass that the trunk accreted below the resolution: with the accreted haloes and the last mass of the
+        Mass that the trunk accreted below the resolution: with the accreted halos and the last mass of the
         trunk it makes up the root, to rounding.
     steps
         Number of steps taken.

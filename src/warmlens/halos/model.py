@@ -1,4 +1,4 @@
-"""Choices and coefficients of the physics of haloes."""
+"""Choices and coefficients of the physics of halos."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class HaloModel:
     tau_dyn
         Dynamical time of tidal stripping, see `warmlens.halos.stripping.loss_per_efold`.
     positions
-        "nfw_host": subhaloes follow the NFW profile of the host at the lens. "nfw_infall": that of the
+        "nfw_host": subhalos follow the NFW profile of the host at the lens. "nfw_infall": that of the
         host when each was accreted. "orbit_infall": each is somewhere on the orbit in the host at its
         accretion that has the circularity of its dynamical friction.
     transfer_function
@@ -55,14 +55,14 @@ class HaloModel:
     friction_amplitude, friction_mass_slope, friction_circularity_slope
         A_df, b_df and c_df of dynamical friction.
     concentration
-        Of cold haloes. "paper": the power law whose coefficients are the next fields. "duffy08": that of
+        Of cold halos. "paper": the power law whose coefficients are the next fields. "duffy08": that of
         Duffy et al. 2008; the next fields must keep their defaults.
     concentration_amplitude, concentration_mass_slope, concentration_redshift_slope
-        A_c, B_c and C_c of the concentration of cold haloes.
+        A_c, B_c and C_c of the concentration of cold halos.
     concentration_pivot_msun, concentration_min
         Pivot mass [Msun] of that relation and smallest concentration of either relation.
     concentration_scatter_dex
-        Log-normal scatter of the subhaloes' concentrations [dex].
+        Log-normal scatter of the subhalos' concentrations [dex].
     formation_mass_cap_msun
         Heaviest cold halo [Msun] to which a warm halo is mapped for its concentration.
     z_max

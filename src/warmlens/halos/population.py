@@ -29,12 +29,12 @@ _MODELS_KEPT = 8  # dark-matter models whose variance is remembered
 
 @dataclass(frozen=True)
 class WholeHalo:
-    """One halo with all its surviving subhaloes, one entry each in every array.
+    """One halo with all its surviving subhalos, one entry each in every array.
 
     Attributes
     ----------
     m_halo_msun, z_root
-        M200c of the host [Msun] and the redshift at which it has that mass and subhaloes are observed.
+        M200c of the host [Msun] and the redshift at which it has that mass and subhalos are observed.
     m_bound, m_acc
         Bound mass at z_root and M200c at infall [Msun].
     z_acc
@@ -51,7 +51,7 @@ class WholeHalo:
     radius_kpc
         Distance from the centre of the host.
     n_accreted
-        Haloes accreted above the resolution: lost to dynamical friction, stripped or surviving.
+        Halos accreted above the resolution: lost to dynamical friction, stripped or surviving.
     n_friction, n_stripped_below
         Of these: lost to dynamical friction, and stripped below min_mass_msun.
     tree_steps
@@ -81,7 +81,7 @@ class WholeHalo:
 
     @property
     def n_surviving(self) -> int:
-        """Number of subhaloes left."""
+        """Number of subhalos left."""
         return self.m_bound.size
 
     @property
@@ -101,14 +101,14 @@ class WholeHalo:
 
 
 class HaloPopulation:
-    """Draws whole haloes at one redshift; holds the tables that are the same for every halo.
+    """Draws whole halos at one redshift; holds the tables that are the same for every halo.
 
     Parameters
     ----------
     cosmology
         Background and cold power spectrum.
     z_root
-        Redshift at which hosts have their mass and subhaloes are observed; 0 <= z_root < model.z_max.
+        Redshift at which hosts have their mass and subhalos are observed; 0 <= z_root < model.z_max.
     model
         Subhalo physics.
     """
@@ -123,7 +123,7 @@ class HaloPopulation:
         self._spectrum = cdm_power(cosmology)
         self._variances = lru_cache(_MODELS_KEPT)(self._tabulate_variance)
         cold = self.variance(ColdDarkMatter())
-        self._formation = FormationHistory.of_cold_haloes(cold, model.formation_mass_cap_msun)
+        self._formation = FormationHistory.of_cold_halos(cold, model.formation_mass_cap_msun)
 
     def variance(self, dark_matter: DarkMatter) -> SharpKVariance:
         """Variance S(M) of the dark matter; kept for the models used last."""
@@ -212,7 +212,7 @@ class HaloPopulation:
     def _evolve(
         self, tree: MergerTree, ln_a_acc: FloatArray, circularity: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Bound masses at z_root [Msun], and which subhaloes dynamical friction has removed."""
+        """Bound masses at z_root [Msun], and which subhalos dynamical friction has removed."""
         model = self.model
         ln_a_sunk = friction_ln_a(
             ln_a_acc,
@@ -241,7 +241,7 @@ class HaloPopulation:
         circularity: FloatArray,
         rng: np.random.Generator,
     ) -> FloatArray:
-        """Distances [kpc] from the centre of the subhaloes that are left."""
+        """Distances [kpc] from the centre of the subhalos that are left."""
         if self.model.positions == "nfw_host":
             host_mass = np.full(z_acc.size, tree.trunk_mass_msun[0])
             host_z = np.full(z_acc.size, self.z_root)

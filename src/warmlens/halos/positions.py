@@ -1,4 +1,4 @@
-"""Where subhaloes lie in their host, and on the sky."""
+"""Where subhalos lie in their host, and on the sky."""
 
 from __future__ import annotations
 

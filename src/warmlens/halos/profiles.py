@@ -1,4 +1,4 @@
-"""Density profiles of subhaloes: from the infall structure to a truncated NFW profile."""
+"""Density profiles of subhalos: from the infall structure to a truncated NFW profile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How subhaloes lose mass: tidal stripping and dynamical friction."""
+"""How subhalos lose mass: tidal stripping and dynamical friction."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class TidalField:
         return cls(grid, np.concatenate(([0.0], np.cumsum(steps))), slope)
 
     def bound_mass(self, m_acc_msun: FloatArray, ln_a_acc: FloatArray) -> FloatArray:
-        """Mass left at the last ln a of subhaloes accreted with mass m_acc [Msun] at ln_a_acc.
+        """Mass left at the last ln a of subhalos accreted with mass m_acc [Msun] at ln_a_acc.
 
         Notes
         -----

@@ -1,4 +1,4 @@
-"""Deflection and convergence of a population of truncated NFW subhaloes.
+"""Deflection and convergence of a population of truncated NFW subhalos.
 
 The profile is rho = rho_s / [x (1 + x)^2] * tau^2 / (tau^2 + x^2) with x = r / r_s and tau = r_t / r_s
 (Baltz et al. 2009, n = 1). Everything is written in s = x^2 and in the projected mass in units of
@@ -35,7 +35,7 @@ def tnfw_angular_scales(
     kpc_per_arcsec: float,
     sigma_crit_msun_kpc2: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Turn the physical parameters of subhaloes into what `tnfw_deflection` takes.
+    """Turn the physical parameters of subhalos into what `tnfw_deflection` takes.
 
     Parameters
     ----------
@@ -74,14 +74,14 @@ def tnfw_deflection(
     r_t_arcsec: npt.ArrayLike,
     alpha_scale: npt.ArrayLike,
 ) -> FloatArray:
-    """Sum of the deflections of all subhaloes at each ray.
+    """Sum of the deflections of all subhalos at each ray.
 
     Parameters
     ----------
     x, y
         Positions of the rays [arcsec], any common shape.
     center_x, center_y
-        Positions of the subhaloes [arcsec], each [n]; n may be 0.
+        Positions of the subhalos [arcsec], each [n]; n may be 0.
     r_s_arcsec, r_t_arcsec
         Scale and truncation radius [arcsec], each [n], > 0.
     alpha_scale
@@ -100,8 +100,8 @@ def tnfw_deflection(
     Reference: Birrer+2017 sec. 3.2, alpha_dm; docs/halos.md, item 10.
     """
     rays_x, rays_y = _rays(x, y)
-    subhaloes = _subhaloes(center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
-    alpha_x, alpha_y = _sum_deflections(rays_x.ravel(), rays_y.ravel(), *subhaloes)
+    subhalos = _subhalos(center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
+    alpha_x, alpha_y = _sum_deflections(rays_x.ravel(), rays_y.ravel(), *subhalos)
     return np.stack([alpha_x.reshape(rays_x.shape), alpha_y.reshape(rays_x.shape)])
 
 
@@ -114,7 +114,7 @@ def tnfw_convergence(
     r_t_arcsec: npt.ArrayLike,
     alpha_scale: npt.ArrayLike,
 ) -> FloatArray:
-    """Sum of the convergences of all subhaloes at each position; parameters as in `tnfw_deflection`.
+    """Sum of the convergences of all subhalos at each position; parameters as in `tnfw_deflection`.
 
     Returns
     -------
@@ -123,8 +123,8 @@ def tnfw_convergence(
         value at the point itself (not a mean over a pixel); the logarithmic cusp is cut at x = `X_FLOOR`.
     """
     rays_x, rays_y = _rays(x, y)
-    subhaloes = _subhaloes(center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
-    return _sum_convergences(rays_x.ravel(), rays_y.ravel(), *subhaloes).reshape(rays_x.shape)
+    subhalos = _subhalos(center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
+    return _sum_convergences(rays_x.ravel(), rays_y.ravel(), *subhalos).reshape(rays_x.shape)
 
 
 def _rays(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
@@ -138,21 +138,21 @@ def _rays(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     return rays_x.reshape(np.shape(x)), rays_y.reshape(np.shape(x))
 
 
-def _subhaloes(
+def _subhalos(
     center_x: npt.ArrayLike,
     center_y: npt.ArrayLike,
     r_s_arcsec: npt.ArrayLike,
     r_t_arcsec: npt.ArrayLike,
     alpha_scale: npt.ArrayLike,
 ) -> tuple[FloatArray, ...]:
-    """The parameters of the subhaloes as contiguous float arrays of one length, checked."""
+    """The parameters of the subhalos as contiguous float arrays of one length, checked."""
     names = ("center_x", "center_y", "r_s_arcsec", "r_t_arcsec", "alpha_scale")
     values = (center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
     arrays = tuple(np.ascontiguousarray(value, dtype=np.float64) for value in values)
     shape = arrays[0].shape
     for name, array in zip(names, arrays, strict=True):
         if array.ndim != 1 or array.shape != shape:
-            raise ValueError(f"{name} has shape {array.shape}, expected {shape} with one axis of subhaloes")
+            raise ValueError(f"{name} has shape {array.shape}, expected {shape} with one axis of subhalos")
         lowest = {
             "r_s_arcsec": np.nextafter(0.0, 1.0),
             "r_t_arcsec": np.nextafter(0.0, 1.0),

@@ -1,4 +1,4 @@
-"""Deflection of subhaloes as the pixels of an image see it.
+"""Deflection of subhalos as the pixels of an image see it.
 
 One ray a pixel carries the pixel's light, so what is wanted of a pixel is its mean deflection: to first order
 in the source's gradient that gives the pixel's mean brightness. The value at the centre is that mean wherever
@@ -29,27 +29,27 @@ def pixel_deflection(
     r_t_arcsec: FloatArray,
     alpha_scale: FloatArray,
 ) -> FloatArray:
-    """Sum of the deflections of all subhaloes at each pixel.
+    """Sum of the deflections of all subhalos at each pixel.
 
     Parameters
     ----------
     grid
         Pixels.
     center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale
-        Subhaloes, each [n], as in `tnfw_deflection`.
+        Subhalos, each [n], as in `tnfw_deflection`.
 
     Returns
     -------
     deflection
-        (alpha_x, alpha_y) [arcsec], [2, ny, nx]: at the pixel centres, and for haloes `narrower_than_pixel`
+        (alpha_x, alpha_y) [arcsec], [2, ny, nx]: at the pixel centres, and for halos `narrower_than_pixel`
         the mean over `SUB_PIXELS`**2 sub-pixels, up to `REACH_PIXELS` from them.
     """
-    subhaloes = (center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
-    alpha = tnfw_deflection(*grid.coordinates(), *subhaloes)
+    subhalos = (center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
+    alpha = tnfw_deflection(*grid.coordinates(), *subhalos)
     narrow = narrower_than_pixel(grid, r_s_arcsec, r_t_arcsec)
     if not narrow.any():
         return alpha
-    x, y, r_s, r_t, scale = (np.ascontiguousarray(value, dtype=np.float64)[narrow] for value in subhaloes)
+    x, y, r_s, r_t, scale = (np.ascontiguousarray(value, dtype=np.float64)[narrow] for value in subhalos)
     columns, rows = grid.to_pixel(x, y)
     along_columns, along_rows = _mean_minus_centre(
         grid.ny, grid.nx, grid.pixel_scale, columns, rows, r_s, r_t, scale
@@ -61,7 +61,7 @@ def pixel_deflection(
 
 
 def narrower_than_pixel(grid: PixelGrid, r_s_arcsec: FloatArray, r_t_arcsec: FloatArray) -> BoolArray:
-    """Which haloes have a scale or a truncation radius below the side of a pixel, [n]."""
+    """Which halos have a scale or a truncation radius below the side of a pixel, [n]."""
     return np.minimum(r_s_arcsec, r_t_arcsec) < grid.pixel_scale
 
 
@@ -76,7 +76,7 @@ def _mean_minus_centre(
     r_t: npt.NDArray[np.float64],
     alpha_scale: npt.NDArray[np.float64],
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Mean over the pixel less the value at its centre [ny, nx], of haloes at fractional pixels (column, row).
+    """Mean over the pixel less the value at its centre [ny, nx], of halos at fractional pixels (column, row).
 
     Components along the columns and the rows of the image [arcsec].
     """

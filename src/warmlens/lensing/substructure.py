@@ -1,4 +1,4 @@
-"""What a halo and its subhaloes add to the smooth deflection of an image."""
+"""What a halo and its subhalos add to the smooth deflection of an image."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOST_TRUNCATION = 1.0e3  # r_t / r_s of a smooth host: within the field its prof
 
 @dataclass(frozen=True)
 class SmoothHost:
-    """NFW profile of what a halo holds besides its subhaloes, about the origin of the subhaloes' positions.
+    """NFW profile of what a halo holds besides its subhalos, about the origin of the subhalos' positions.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class SmoothHost:
     def of_halo(
         cls, m_halo_msun: float, concentration: float, f_sub: float, cosmology: Cosmology, z_lens: float
     ) -> SmoothHost:
-        """Profile of a halo of mass M200c [Msun], concentration R200c/r_s and mass fraction f_sub in subhaloes.
+        """Profile of a halo of mass M200c [Msun], concentration R200c/r_s and mass fraction f_sub in subhalos.
 
-        The subhaloes' mass is taken off at all radii alike, so that both together hold M200c.
+        The subhalos' mass is taken off at all radii alike, so that both together hold M200c.
         """
         if not (m_halo_msun > 0.0 and concentration > 0.0 and 0.0 <= f_sub < 1.0):
             raise ValueError(
@@ -59,12 +59,12 @@ def filtered_deflection(
     kind: FilterKind = "gaussian",
     host: SmoothHost | None = None,
 ) -> FloatArray:
-    """High-pass filtered deflection of all subhaloes at the pixels.
+    """High-pass filtered deflection of all subhalos at the pixels.
 
     Parameters
     ----------
     subhalos
-        Subhaloes of the field.
+        Subhalos of the field.
     grid
         Pixels of the image; the deflection is computed on a margin around it, so that the filter has no edge.
     geometry
@@ -79,7 +79,7 @@ def filtered_deflection(
     Returns
     -------
     delta_alpha
-        [2, ny, nx] (x, y) [arcsec]: at the pixel centres, a mean over the pixel near narrow haloes
+        [2, ny, nx] (x, y) [arcsec]: at the pixel centres, a mean over the pixel near narrow halos
         (`pixel_deflection`).
 
     Reference: Birrer+2017 sec. 3.2, Delta alpha_dm.
@@ -97,7 +97,7 @@ def filtered_deflection(
 
 
 def convergence_map(subhalos: Subhalos, grid: PixelGrid, geometry: LensGeometry) -> FloatArray:
-    """Convergence [ny, nx] of all subhaloes at the pixel centres."""
+    """Convergence [ny, nx] of all subhalos at the pixel centres."""
     scales = tnfw_angular_scales(
         subhalos.r_s_kpc,
         subhalos.r_t_kpc,
@@ -109,6 +109,6 @@ def convergence_map(subhalos: Subhalos, grid: PixelGrid, geometry: LensGeometry)
 
 
 def required_half_width(grid: PixelGrid, filter_arcsec: float) -> float:
-    """Half-width [arcsec] of the field that subhaloes must fill: the image and three filter widths."""
+    """Half-width [arcsec] of the field that subhalos must fill: the image and three filter widths."""
     x, y = grid.coordinates()
     return float(max(np.abs(x).max(), np.abs(y).max()) + 0.5 * grid.pixel_scale + 3.0 * filter_arcsec)
