@@ -17,8 +17,10 @@ from numba import njit
 
 from warmlens.cosmology import Cosmology
 from warmlens.halos.dark_matter import dark_matter
-from warmlens.halos.merger_tree import BRANCHING, branching_table, grow_all_orders, grow_tree
+from warmlens.halos.merger_tree import BRANCHING, branching_table, grow_tree
 from warmlens.halos.power_spectrum import SharpKVariance, cdm_power, filtered_variance, top_hat_sigma
+
+from ..halos.all_orders import grow_all_orders
 
 COSMOLOGY = Cosmology()
 SPECTRUM = cdm_power(COSMOLOGY)
@@ -142,7 +144,8 @@ def test_formation_redshift_agrees_with_the_fit_of_jiang_van_den_bosch_2016(log_
 def conditional_excess(dz, branching):
     root, edges = 1e13, np.linspace(-3.0, math.log10(0.25), 9)
     ln_mass = np.linspace(math.log(1e9), math.log(2e13), 800)
-    ln_sigma = np.log(top_hat_sigma(np.exp(ln_mass), SPECTRUM, COSMOLOGY))
+    radius_mpc = np.cbrt(3.0 * np.exp(ln_mass) / (4.0 * math.pi * COSMOLOGY.mean_density_msun_mpc3))
+    ln_sigma = np.log(top_hat_sigma(SPECTRUM, radius_mpc * COSMOLOGY.h))
     variance = SharpKVariance(ln_mass, 2.0 * ln_sigma, -np.gradient(ln_sigma, ln_mass))
     clocks = float(COSMOLOGY.collapse_clock(0.0)), float(COSMOLOGY.collapse_clock(dz))
     trees = grown(root, 4e-4 * root, branching, 1000, 4, grow_all_orders, variance, clocks, factor=1.0)

@@ -1,4 +1,4 @@
-"""Merger trees: a halo followed into the past, along its trunk or along every branch."""
+"""Merger trees: a halo followed into the past along its trunk."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 
 from warmlens.halos.power_spectrum import SharpKVariance
-from warmlens.halos.tree_walk import walk_all, walk_branch
-from warmlens.types import FloatArray, IntArray
+from warmlens.halos.tree_walk import walk_branch
+from warmlens.types import FloatArray
 
 Branching = tuple[float, float, float, float]
 
@@ -102,34 +102,6 @@ class MergerTree:
         """Clock w at which the trunk has half the mass of the root, or at which a shorter trunk ends."""
         half = math.log(0.5 * self.trunk_mass_msun[0])
         return float(np.interp(-half, -np.log(self.trunk_mass_msun), self.trunk_clock))
-
-
-@dataclass(frozen=True)
-class AllOrderTree:
-    """A halo with every branch above the resolution, one entry each; entry 0 is the root.
-
-    Attributes
-    ----------
-    m_acc_msun, clock_acc
-        Mass and collapse clock w of the accretion; of the root, where the tree starts.
-    host_mass_msun
-        Mass of the parent branch just before the accretion (further back in time); nan for the root.
-    m_end_msun
-        Mass at the earliest time, or where the branch could not branch any more.
-    smooth_mass_msun
-        Mass that the branch accreted below the resolution.
-    order, parent
-        Order (1: accreted by the trunk) and entry of the branch that accreted it; 0 and -1 for the root.
-        Parents come before their branches.
-    """
-
-    m_acc_msun: FloatArray
-    host_mass_msun: FloatArray
-    clock_acc: FloatArray
-    m_end_msun: FloatArray
-    smooth_mass_msun: FloatArray
-    order: IntArray
-    parent: IntArray
 
 
 def smooth_integral(u: FloatArray, gamma1: float, gamma3: float) -> FloatArray:
@@ -224,7 +196,7 @@ def grow_tree(table: BranchingTable, clock_root: float, clock_end: float, rng: n
     ends at clock_end or where it cannot branch any more (2 M_res, or monolithic collapse).
     """
     trunk, accreted, smooth_mass, steps = walk_branch(
-        rng, clock_root, clock_end, _ln_root(table), False, _arguments(table)
+        rng, clock_root, clock_end, ln_root_mass(table), False, kernel_arguments(table)
     )
     return MergerTree(
         trunk_clock=trunk[0].copy(),
@@ -237,26 +209,13 @@ def grow_tree(table: BranchingTable, clock_root: float, clock_end: float, rng: n
     )
 
 
-def grow_all_orders(
-    table: BranchingTable, clock_root: float, clock_end: float, rng: np.random.Generator
-) -> AllOrderTree:
-    """Follow every branch above the resolution; parameters as in `grow_tree`.
-
-    Notes
-    -----
-    Branches are walked as the trunk is, but end at clock_end itself, so that `AllOrderTree.m_end_msun` above
-    twice the resolution are the progenitors at that time. A branch lighter than that has none of its own.
-    """
-    values, links = walk_all(rng, clock_root, clock_end, _ln_root(table), _arguments(table))
-    return AllOrderTree(*(row.copy() for row in values), *(row.copy() for row in links))
-
-
-def _ln_root(table: BranchingTable) -> float:
+def ln_root_mass(table: BranchingTable) -> float:
+    """Return ln(M/Msun) of the root, the parent of the last row."""
     return table.ln_resolution + math.log(2.0) + table.step * (table.smooth.size - 1)
 
 
-def _arguments(table: BranchingTable) -> tuple[float | FloatArray, ...]:
-    """Fields of a table in the order in which the kernels take them."""
+def kernel_arguments(table: BranchingTable) -> tuple[float | FloatArray, ...]:
+    """Return the fields of a table in the order in which `walk_branch` takes them."""
     return tuple(vars(table).values())
 
 

@@ -1,4 +1,4 @@
-"""Compiled kernels of the merger trees: the walk of a branch into the past, and of all its branches."""
+"""Compiled kernels of the merger trees: the walk of a branch into the past."""
 
 from __future__ import annotations
 
@@ -131,31 +131,3 @@ def walk_branch(rng, clock, clock_end, ln_mass, to_end, table):  # type: ignore[
         n_trunk += 1
     smooth_mass += mass_at_split - math.exp(ln_mass)
     return trunk[:, :n_trunk], accreted[:, :n_accreted], smooth_mass, steps
-
-
-@njit(cache=True)
-def walk_all(rng, clock, clock_end, ln_mass, table):  # type: ignore[no-untyped-def]
-    """Walk the root and, one after the other, every branch that an earlier walk has found.
-
-    Returns ([m_acc, host mass, clock_acc, last mass, smooth mass], [order, parent]), one column a branch.
-    """
-    values, links = np.empty((5, 256)), np.empty((2, 256), np.int64)
-    values[0, 0], values[1, 0], values[2, 0] = math.exp(ln_mass), math.nan, clock
-    links[0, 0], links[1, 0] = 0, -1
-    n_found, branch = 1, 0
-    while branch < n_found:
-        trunk, accreted, smooth_mass, _ = walk_branch(
-            rng, values[2, branch], clock_end, math.log(values[0, branch]), True, table
-        )
-        values[3, branch], values[4, branch] = math.exp(trunk[1, -1]), smooth_mass
-        new = accreted.shape[1]
-        if n_found + new > values.shape[1]:
-            room = 2 * (n_found + new)
-            values, links = enlarged(values, room), enlarged(links, room)
-        for i in range(new):
-            for row in range(3):
-                values[row, n_found + i] = accreted[row, i]
-            links[0, n_found + i], links[1, n_found + i] = links[0, branch] + 1, branch
-        n_found += new
-        branch += 1
-    return values[:, :n_found], links[:, :n_found]

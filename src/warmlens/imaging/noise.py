@@ -54,18 +54,3 @@ class NoiseModel:
             scale = self.sigma(image)
             white = (noisy - image) / scale
         return image + scale * correlate(white, self.correlation)
-
-
-def with_quasar_variance(sigma: FloatArray, quasars: FloatArray, fraction: float) -> FloatArray:
-    """Add the error of the PSF near bright points: sigma^2 + (fraction * flux of the point sources)^2.
-
-    Parameters
-    ----------
-    sigma
-        Noise [e-/s], any shape.
-    quasars
-        Image of the point sources alone [e-/s], same shape.
-    fraction
-        Relative error of the PSF.
-    """
-    return np.sqrt(sigma**2 + (fraction * quasars) ** 2)
