@@ -35,17 +35,15 @@ _FLAT = 1.0e-10  # relative gain of variance below which a halo has no progenito
 class BranchingTable:
     """Rates of branching and smooth accretion for parents on a grid of mass.
 
-    Row i belongs to the parent of mass 2 M_res exp(i step); the factor (delta_2/sigma_2)^gamma_2, which
-    depends on time, is left out of both rates.
+    Row i belongs to the parent of mass 2 M_res exp(i step). Both rates lack the factor (delta_2/sigma_2)^gamma_2,
+    which depends on time.
 
     Attributes
     ----------
-    ln_resolution
-        ln(M_res/Msun).
-    step
-        Spacing of the rows in ln M.
+    ln_resolution, step
+        ln(M_res/Msun), and spacing of the rows in ln M.
     first_row
-        First row whose parent has progenitors: lighter ones collapse monolithically.
+        First row whose parent has progenitors; lighter parents collapse monolithically.
     cumulative
         [i, n]: branchings of parent i into progenitors between M_res and M_res exp(n step), n <= i, per
         unit of omega.
@@ -57,8 +55,6 @@ class BranchingTable:
         Linear rms at the parent's mass.
     barrier
         Threshold in units of w(z), and omega per unit of w.
-    gamma2
-        Exponent gamma_2.
     """
 
     ln_resolution: float
@@ -79,14 +75,14 @@ class MergerTree:
     Attributes
     ----------
     trunk_clock, trunk_mass_msun
-        Collapse clock w (ascending) and mass of the trunk; what lies between varies by < 0.05%.
+        Collapse clock w (ascending) and mass of the trunk; between entries the mass varies by < 0.05%.
     m_acc_msun, host_mass_msun, clock_acc
         Of each accreted halo: its mass, the mass of the trunk just before, and w of the accretion.
     smooth_mass_msun
-        Mass that the trunk accreted below the resolution: with the accreted halos and the last mass of the
-        trunk it makes up the root, to rounding.
+        Mass that the trunk accreted below the resolution. Together with the accreted halos and the last mass of
+        the trunk it is the mass of the root, to rounding.
     steps
-        Number of steps taken.
+        Number of steps.
     """
 
     trunk_clock: FloatArray
@@ -105,12 +101,12 @@ class MergerTree:
 
 
 def smooth_integral(u: FloatArray, gamma1: float, gamma3: float) -> FloatArray:
-    """J(u) = int_0^u (1 + 1/v^2)^(gamma1/2) (1 + v^2)^-gamma3 dv, any shape, for gamma1 < 1.
+    """Return J(u) = int_0^u (1 + 1/v^2)^(gamma1/2) (1 + v^2)^-gamma3 dv, any shape, for gamma1 < 1.
 
     With v = sigma2/sqrt(S1 - S2) the factors are those of the branching rate: 1 + 1/v^2 = S1/S2 and
     1 + v^2 = 1/(1 - S2/S1). Reference: Parkinson, Cole & Helly 2008, appendix A, where gamma3 = 0.
     """
-    from scipy.special import hyp2f1
+    from scipy.special import hyp2f1  # slow to import
 
     half = 0.5 * (1.0 - gamma1)
     return u ** (1.0 - gamma1) / (1.0 - gamma1) * hyp2f1(gamma3 - 0.5 * gamma1, half, half + 1.0, -(u**2))
@@ -128,8 +124,6 @@ def branching_table(
 
     Parameters
     ----------
-    variance
-        S(M) of the dark matter.
     root_mass_msun, resolution_msun
         Mass of the root and smallest mass that is followed [Msun].
     branching
@@ -142,7 +136,7 @@ def branching_table(
     Notes
     -----
     The rate dN/dq = sqrt(2/pi) S1/(S1-S2)^1.5 alpha(M1) q^-2 G0 (sigma1/sigma2)^gamma1 (1-S2/S1)^gamma3 is
-    integrated as it is, so the table is exact for any S(M), also one that flattens, and no branching is
+    integrated numerically, so the table is exact for any S(M), also one that flattens, and no branching is
     rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
     """
     if not root_mass_msun > 2.0 * resolution_msun > 0.0:
@@ -168,9 +162,7 @@ def branching_table(
     smooth, max_step = np.zeros(_ROWS), np.zeros(_ROWS)
     used = slice(first_row, None)
     u_res = sigma[used] / np.sqrt(s_res - s_parent[used])
-    smooth[used] = (
-        norm * smooth_integral(u_res, gamma1, gamma3) / sigma[used]
-    )  # PCH08 appendix A, per unit of omega
+    smooth[used] = norm * smooth_integral(u_res, gamma1, gamma3) / sigma[used]  # PCH08, appendix A
     max_step[used] = _STEP_BARRIER * np.sqrt(2.0 * (s_half[used] - s_parent[used]))
     barrier = barrier_factor * barrier_ratio(parent)
     return BranchingTable(
@@ -179,21 +171,11 @@ def branching_table(
 
 
 def grow_tree(table: BranchingTable, clock_root: float, clock_end: float, rng: np.random.Generator) -> MergerTree:
-    """Follow the trunk from the root into the past and collect what it accreted.
+    """Follow the trunk from the root into the past and collect the halos that it accreted.
 
-    Parameters
-    ----------
-    table
-        Rates, see `branching_table`.
-    clock_root, clock_end
-        Collapse clock w at the root and at the earliest time that is followed.
-    rng
-        Random numbers.
-
-    Notes
-    -----
-    At a branching the heavier progenitor continues the trunk, the lighter one is a subhalo. The trunk
-    ends at clock_end or where it cannot branch any more (2 M_res, or monolithic collapse).
+    The clocks are the collapse clock w at the root and at the earliest time that is followed. At a branching the
+    heavier progenitor continues the trunk, the lighter one is a subhalo. The trunk ends at clock_end or where it
+    cannot branch any more (2 M_res, or monolithic collapse).
     """
     trunk, accreted, smooth_mass, steps = walk_branch(
         rng, clock_root, clock_end, ln_root_mass(table), False, kernel_arguments(table)
@@ -221,7 +203,7 @@ def kernel_arguments(table: BranchingTable) -> tuple[float | FloatArray, ...]:
 
 @njit(cache=True)
 def _accumulate(weight, s_progenitor, s_parent, factor, gamma3, first_row, step):  # type: ignore[no-untyped-def]
-    """Trapezoid sums over ln M1 of factor * weight / (S1 - S2)^1.5 * (1 - S2/S1)^gamma3, one row a parent."""
+    """Trapezoid sums over ln M1 of factor * weight / (S1 - S2)^1.5 * (1 - S2/S1)^gamma3, one row per parent."""
     rows = weight.size
     cumulative = np.zeros((rows, rows))
     for i in range(first_row, rows):
