@@ -30,7 +30,7 @@ from warmlens.imaging.mock import lensed_image, subpixel_field
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.psf import Convolution, hst_like_psf
 from warmlens.imaging.shapelets import ShapeletSet, n_coefficients
-from warmlens.lensing.deflection import tnfw_angular_scales, tnfw_deflection
+from warmlens.lensing.deflection import TnfwHalos, tnfw_angular_scales, tnfw_deflection
 from warmlens.lensing.high_pass import margin_pixels
 from warmlens.lensing.substructure import filtered_deflection
 from warmlens.products.observation import read_observation
@@ -93,7 +93,7 @@ def deflections(n_subhalos: int, repeats: int) -> dict[str, float]:
     ]
 
     def ours() -> FloatArray:
-        return tnfw_deflection(x, y, subhalos.x_arcsec, subhalos.y_arcsec, r_s, r_t, scale)
+        return tnfw_deflection(x, y, TnfwHalos(subhalos.x_arcsec, subhalos.y_arcsec, r_s, r_t, scale))
 
     def theirs() -> FloatArray:
         return np.array(lens.alpha(x, y, kwargs))

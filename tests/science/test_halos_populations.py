@@ -31,7 +31,8 @@ def unevolved(geometry):
     rng = np.random.default_rng(20)
     counts = {}
     for m_th_kev, n_trees in ((1.0, 800), (2.0, 800), (3.3, 500), (math.inf, 200)):
-        mass = np.concatenate([generator.tree(m_th_kev, 1e13, rng).m_acc_msun for _ in range(n_trees)])
+        tree, relic = generator.population.tree, generator.dark_matter(m_th_kev)
+        mass = np.concatenate([tree(relic, 1e13, rng).m_acc_msun for _ in range(n_trees)])
         counts[m_th_kev] = np.histogram(np.log10(mass), EDGES)[0] / n_trees
     return counts
 

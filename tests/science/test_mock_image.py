@@ -16,7 +16,7 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import lensed_image
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet
-from warmlens.lensing.deflection import tnfw_deflection
+from warmlens.lensing.deflection import TnfwHalos, tnfw_deflection
 from warmlens.lensing.macro_model import deflection, lens_light
 
 N_MAX, BETA, CENTER = 10, 0.18, (-0.503, -0.058)
@@ -31,8 +31,9 @@ def test_mock_image_with_subhalos(paper_lens: tuple[list[str], list[dict[str, An
     coefficients = np.random.default_rng(8).normal(size=shapelets.n_coefficients)
     center_x, center_y = np.array([-2.0, 0.6]), np.array([0.1, -1.1])
     r_s, r_t, scale = np.array([0.3, 0.15]), np.array([0.9, 0.8]), np.array([0.02, 0.04])
+    halos = TnfwHalos(center_x, center_y, r_s, r_t, scale)
     x, y = grid.subpixel_coordinates(2)
-    alpha = deflection(names, kwargs, x, y) + tnfw_deflection(x, y, center_x, center_y, r_s, r_t, scale)
+    alpha = deflection(names, kwargs, x, y) + tnfw_deflection(x, y, halos)
     ours = lensed_image((shapelets,), coefficients, x - alpha[0], y - alpha[1], Convolution(psf, grid.shape))
 
     subhalos = [

@@ -8,7 +8,6 @@ import numpy as np
 
 from warmlens.cosmology import Cosmology, LensGeometry
 from warmlens.halos.dark_matter import DarkMatter, dark_matter
-from warmlens.halos.merger_tree import MergerTree
 from warmlens.halos.model import HaloModel
 from warmlens.halos.population import MASS_BINS, VMAX_BINS, HaloPopulation, SubhaloStructure
 from warmlens.halos.positions import project_isotropically
@@ -79,10 +78,6 @@ class HaloGenerator:
     def dark_matter(self, m_th_kev: float) -> DarkMatter:
         """Return the thermal relic of the given mass [keV] with the model's transfer function; inf is cold."""
         return dark_matter(m_th_kev, self.cosmology, self.model.transfer_function)
-
-    def tree(self, m_th_kev: float, m_halo_msun: float, rng: np.random.Generator) -> MergerTree:
-        """Draw the merger tree alone; parameters as in `draw`."""
-        return self.population.tree(self.dark_matter(m_th_kev), m_halo_msun, rng)
 
     def draw(
         self, m_th_kev: float, m_halo_msun: float, half_width_arcsec: float, rng: np.random.Generator
