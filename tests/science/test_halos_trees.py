@@ -65,7 +65,7 @@ def integral(fit, edges):
 def grown(
     root, resolution, branching, n_trees, seed, grow, variance=None, clocks=CLOCKS, factor=1.197, ratio=None
 ):
-    """Trees of cold dark matter in the lens of the paper, unless told otherwise."""
+    """Trees of cold dark matter in the lens of the paper, unless set otherwise."""
     variance, ratio = variance or variance_of(math.inf), ratio or np.ones_like
     table = branching_table(variance, root, resolution, branching, factor, ratio)
     rng = np.random.default_rng(seed)
@@ -184,8 +184,8 @@ def _look_up(x, grid, values):
 def _envelope_walk(rng, clock, clock_end, root, resolution, ln_mass, ln_s, slope, ln_u, ln_j, branching, factor):
     g0, gamma1, gamma2, gamma3 = branching
     norm = math.sqrt(2.0 / math.pi)
-    found = np.empty(200_000)
-    n_found = 0
+    masses = np.empty(200_000)
+    n_masses = 0
     mass = root
     while mass > 2.0 * resolution:
         s2 = math.exp(_look_up(math.log(mass), ln_mass, ln_s))
@@ -220,10 +220,10 @@ def _envelope_walk(rng, clock, clock_end, root, resolution, ln_mass, ln_s, slope
                 one, other = q * mass, left - q * mass
                 left = max(one, other)
                 if min(one, other) > resolution:
-                    found[n_found] = min(one, other)
-                    n_found += 1
+                    masses[n_masses] = min(one, other)
+                    n_masses += 1
         mass = left
-    return found[:n_found]
+    return masses[:n_masses]
 
 
 def envelope_trees(variance, root, resolution, branching, n_trees, seed):

@@ -75,7 +75,7 @@ def test_whole_mock_with_clumps_light_and_quasars(paper_lens: tuple[list[str], l
     convolution = Convolution(psf, grid.shape)
     rng = np.random.default_rng(9)
     sets = (ShapeletSet(N_MAX, BETA, *CENTER), *(ShapeletSet(3, 0.04, *rng.normal(CENTER, 0.2)) for _ in range(3)))
-    coefficients = rng.normal(size=sum(item.n_coefficients for item in sets))
+    coefficients = rng.normal(size=sum(shapelets.n_coefficients for shapelets in sets))
     x, y = grid.subpixel_coordinates(1)
     alpha = deflection(names, kwargs, x, y)
     sersic = {"R_sersic": 0.3, "n_sersic": 1.6, "center_x": -0.009, "center_y": 0.079}
@@ -101,12 +101,12 @@ def test_whole_mock_with_clumps_light_and_quasars(paper_lens: tuple[list[str], l
         PointSource(["LENSED_POSITION"]),
         kwargs_numerics={"supersampling_factor": 1},
     )
-    split = np.split(coefficients, np.cumsum([item.n_coefficients for item in sets])[:-1])
+    split = np.split(coefficients, np.cumsum([shapelets.n_coefficients for shapelets in sets])[:-1])
     area = grid.pixel_scale**2
     source = [
-        {"amp": amp / area, "n_max": item.n_max, "beta": item.beta, "center_x": item.center_x,
-         "center_y": item.center_y}
-        for item, amp in zip(sets, split, strict=True)
+        {"amp": amp / area, "n_max": shapelets.n_max, "beta": shapelets.beta, "center_x": shapelets.center_x,
+         "center_y": shapelets.center_y}
+        for shapelets, amp in zip(sets, split, strict=True)
     ]  # fmt: skip
     points = {
         "ra_image": np.array([float(qx) for qx, _ in positions]),

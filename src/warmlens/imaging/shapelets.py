@@ -157,7 +157,7 @@ def add_basis(
             for n2 in range(total + 1):
                 n1 = total - n2
                 row = out[coefficient]
-                for ray in range(0, by_four, 4):  # four rays a pass: `row` is loaded and stored once
+                for ray in range(0, by_four, 4):  # four rays per pass: `row` is loaded and stored once
                     x0, y0 = phi_x[ray, n1], phi_y[ray, n2]
                     x1, y1 = phi_x[ray + 1, n1], phi_y[ray + 1, n2]
                     x2, y2 = phi_x[ray + 2, n1], phi_y[ray + 2, n2]

@@ -58,7 +58,7 @@ def filtered_deflection(
     grid
         Pixels of the image; the deflection is computed on a margin around it, so that the filter has no edge.
     filter_arcsec
-        Standard deviation of the Gaussian that is taken off [arcsec].
+        Standard deviation of the Gaussian filter [arcsec].
     kind
         Filter, see `high_pass`.
     host
