@@ -136,8 +136,8 @@ def branching_table(
     Notes
     -----
     The rate dN/dq = sqrt(2/pi) S1/(S1-S2)^1.5 alpha(M1) q^-2 G0 (sigma1/sigma2)^gamma1 (1-S2/S1)^gamma3 is
-    integrated numerically, so the table is exact for any S(M), also one that flattens, and no branching is
-    rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
+    integrated without approximating S(M), so the table holds for any S(M), also one that flattens, and no branching
+    is rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
     """
     if not root_mass_msun > 2.0 * resolution_msun > 0.0:
         raise ValueError(
@@ -203,7 +203,7 @@ def kernel_arguments(table: BranchingTable) -> tuple[float | FloatArray, ...]:
 
 @njit(cache=True)
 def _accumulate(weight, s_progenitor, s_parent, factor, gamma3, first_row, step):  # type: ignore[no-untyped-def]
-    """Trapezoid sums over ln M1 of factor * weight / (S1 - S2)^1.5 * (1 - S2/S1)^gamma3, one row per parent."""
+    """Sum over ln M1, by trapezoids, factor * weight / (S1 - S2)^1.5 * (1 - S2/S1)^gamma3, one row per parent."""
     rows = weight.size
     cumulative = np.zeros((rows, rows))
     for i in range(first_row, rows):
