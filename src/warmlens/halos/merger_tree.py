@@ -136,8 +136,8 @@ def branching_table(
     Notes
     -----
     The rate dN/dq = sqrt(2/pi) S1/(S1-S2)^1.5 alpha(M1) q^-2 G0 (sigma1/sigma2)^gamma1 (1-S2/S1)^gamma3 is
-    integrated without approximating S(M), so the table holds for any S(M), also one that flattens, and no branching
-    is rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
+    integrated without approximating S(M). The table therefore holds for any S(M), also one that flattens, and no
+    branching is rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
     """
     if not root_mass_msun > 2.0 * resolution_msun > 0.0:
         raise ValueError(
