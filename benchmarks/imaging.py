@@ -28,7 +28,7 @@ from warmlens.imaging.mock import lensed_image, subpixel_field
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.psf import Convolution, hst_like_psf
 from warmlens.imaging.shapelets import ShapeletSet, n_coefficients
-from warmlens.lensing.deflection import tnfw_angular_scales, tnfw_deflection
+from warmlens.lensing.deflection import TnfwHalos, tnfw_angular_scales, tnfw_deflection
 from warmlens.lensing.high_pass import margin_pixels
 from warmlens.lensing.substructure import filtered_deflection
 from warmlens.products.observation import read_observation
@@ -51,8 +51,8 @@ SMOOTH_LENS = (
 )
 
 
-def field_of_subhaloes(n: int, rng: np.random.Generator) -> Subhalos:
-    """Subhaloes of 10^7 to 10^10 Msun over the field, with the sizes that they have in the campaign."""
+def field_of_subhalos(n: int, rng: np.random.Generator) -> Subhalos:
+    """Subhalos of 10^7 to 10^10 Msun over the field, with the sizes that they have in the campaign."""
     half_width = 0.5 * PIXELS * PIXEL_SCALE + 4.0 * FILTER_ARCSEC
     mass = 1e7 * 10.0 ** rng.exponential(0.5, n).clip(max=3.0)
     r_s = 0.4 * (mass / 1e7) ** 0.4 * 10.0 ** (0.1 * rng.standard_normal(n))
@@ -65,11 +65,11 @@ def field_of_subhaloes(n: int, rng: np.random.Generator) -> Subhalos:
     )  # fmt: skip
 
 
-def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
+def deflections(n_subhalos: int, repeats: int) -> dict[str, float]:
     """Sum of the deflections on the image with its margin, ours and lenstronomy's in turn."""
     geometry = LensGeometry.from_redshifts(Cosmology(), 0.295, 0.658)
     grid = PixelGrid.centred((PIXELS, PIXELS), PIXEL_SCALE)
-    subhalos = field_of_subhaloes(n_subhaloes, np.random.default_rng(1))
+    subhalos = field_of_subhalos(n_subhalos, np.random.default_rng(1))
     r_s, r_t, scale = tnfw_angular_scales(
         subhalos.r_s_kpc,
         subhalos.r_t_kpc,
@@ -78,7 +78,7 @@ def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
         geometry.sigma_crit_msun_kpc2,
     )
     x, y = (axis.ravel() for axis in grid.padded(margin_pixels(FILTER_ARCSEC, PIXEL_SCALE)).coordinates())
-    lens = LensModel(["TNFW"] * n_subhaloes)
+    lens = LensModel(["TNFW"] * n_subhalos)
     kwargs = [
         {
             "Rs": r_s[k],
@@ -87,11 +87,11 @@ def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
             "center_x": subhalos.x_arcsec[k],
             "center_y": subhalos.y_arcsec[k],
         }
-        for k in range(n_subhaloes)
+        for k in range(n_subhalos)
     ]
 
     def ours() -> FloatArray:
-        return tnfw_deflection(x, y, subhalos.x_arcsec, subhalos.y_arcsec, r_s, r_t, scale)
+        return tnfw_deflection(x, y, TnfwHalos(subhalos.x_arcsec, subhalos.y_arcsec, r_s, r_t, scale))
 
     def theirs() -> FloatArray:
         return np.array(lens.alpha(x, y, kwargs))
@@ -104,7 +104,7 @@ def deflections(n_subhaloes: int, repeats: int) -> dict[str, float]:
         "deflection_max_relative_error": float(error),
         "deflection_seconds": ours_seconds,
         "filtered_deflection_seconds": map_seconds,
-        "n_subhaloes": n_subhaloes,
+        "n_subhalos": n_subhalos,
     }
 
 
@@ -167,7 +167,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--json", type=Path, help="file to write")
     parser.add_argument("--repeats", type=int, default=11, help="calls of which the median is taken")
-    parser.add_argument("--quick", action="store_true", help="fewer subhaloes and calls, and no fit")
+    parser.add_argument("--quick", action="store_true", help="fewer subhalos and calls, and no fit")
     arguments = parser.parse_args()
     repeats = 3 if arguments.quick else arguments.repeats
 

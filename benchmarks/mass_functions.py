@@ -1,6 +1,6 @@
 """Mean unevolved first-order mass functions dN/dlog10(m/M0) of cold dark matter at z = 0.295, as a CSV.
 
-Beside each bin stands the fit of Jiang & van den Bosch 2016, so that another tree code can be laid next to both:
+Each bin is listed with the fit of Jiang & van den Bosch 2016, for comparison with another tree code:
 python benchmarks/mass_functions.py --csv FILE --hosts 12.5 13.5 --trees 400
 """
 
@@ -37,7 +37,7 @@ def first_order_fit(low: float, high: float) -> float:
 
 
 def count_accreted(log10_host: float, n_trees: int, branching: str, seed: int) -> FloatArray:
-    """Accreted haloes in the bins of `EDGES`, shape (n_trees, n_bins)."""
+    """Accreted halos in the bins of `EDGES`, shape (n_trees, n_bins)."""
     cosmology, host = Cosmology(), 10.0**log10_host
     variance = filtered_variance(ColdDarkMatter().transfer, cdm_power(cosmology), cosmology, SHARP_K_A)
     table = branching_table(
@@ -52,7 +52,7 @@ def count_accreted(log10_host: float, n_trees: int, branching: str, seed: int) -
 
 
 def mass_function(log10_host: float, counts: FloatArray) -> list[dict[str, float]]:
-    """Mean and standard error over trees of dN/dlog10 x, one row a bin, with the published fit."""
+    """Mean and standard error over trees of dN/dlog10 x, one row per bin, with the published fit."""
     width = float(EDGES[1] - EDGES[0])
     mean = counts.mean(axis=0) / width
     error = counts.std(axis=0, ddof=1) / width / math.sqrt(len(counts))

@@ -40,9 +40,9 @@ def test_chunks_are_full_and_shards_are_cut() -> None:
 
 def test_a_grid_brings_all_nodes_before_the_next_realization() -> None:
     nodes = (1.0, 2.0, 5.0), (12.0, 13.0)
-    found = grid_parameters((0, 14), *nodes)
-    assert found.m_th_kev[:7].tolist() == [1.0, 2.0, 5.0, 1.0, 2.0, 5.0, 1.0]
-    assert found.log10_m_halo_msun[:7].tolist() == [12.0, 12.0, 12.0, 13.0, 13.0, 13.0, 12.0]
+    grid = grid_parameters((0, 14), *nodes)
+    assert grid.m_th_kev[:7].tolist() == [1.0, 2.0, 5.0, 1.0, 2.0, 5.0, 1.0]
+    assert grid.log10_m_halo_msun[:7].tolist() == [12.0, 12.0, 12.0, 13.0, 13.0, 13.0, 12.0]
     later = grid_parameters((5, 9), *nodes)
-    assert np.array_equal(later.m_th_kev, found.m_th_kev[5:9])
+    assert np.array_equal(later.m_th_kev, grid.m_th_kev[5:9])
     assert later.sample_id.tolist() == [5, 6, 7, 8]

@@ -74,30 +74,30 @@ class Cosmology:
         return self.Om0 * float(self.critical_density(0.0)) * KPC_PER_MPC**3
 
     def expansion(self, z: FloatArray | float) -> FloatArray:
-        """H(z)/H0."""
+        """Return H(z)/H0."""
         return np.sqrt(self.Om0 * _one_plus(z) ** 3 + self.Ode0)
 
     def matter_density(self, z: FloatArray | float) -> FloatArray:
-        """Density of matter at z in units of the critical density at z."""
+        """Return the density of matter at z in units of the critical density at z."""
         return self.Om0 * _one_plus(z) ** 3 / self.expansion(z) ** 2
 
     def critical_density(self, z: FloatArray | float) -> FloatArray:
-        """Critical density at z [Msun/kpc^3, physical]."""
+        """Return the critical density at z [Msun/kpc^3, physical]."""
         hubble = self.H0 / KPC_PER_MPC * self.expansion(z)  # km/s/kpc
         return 3.0 * hubble**2 / (8.0 * math.pi * G_NEWTON)
 
     def age(self, z: FloatArray | float) -> FloatArray:
-        """Age of the universe at z [Gyr]."""
+        """Return the age of the universe at z [Gyr]."""
         dark_to_matter = math.sqrt(self.Ode0 / self.Om0)
         phase = np.arcsinh(dark_to_matter * _one_plus(z) ** -1.5)
         return HUBBLE_TIME_GYR_KMS_MPC / self.H0 * 2.0 / (3.0 * math.sqrt(self.Ode0)) * phase
 
     def growth(self, z: FloatArray | float) -> FloatArray:
-        """Linear growth factor D(z), with D(0) = 1.
+        """Return the linear growth factor D(z), with D(0) = 1.
 
-        The growth integral E(a) int a'^1.5 (Om + OL a'^3)^-1.5 da' in closed form.
+        It is the growth integral E(a) int a'^1.5 (Om + OL a'^3)^-1.5 da' in closed form.
         """
-        from scipy.special import hyp2f1
+        from scipy.special import hyp2f1  # slow to import
 
         ratio = self.Ode0 / self.Om0
         a = 1.0 / _one_plus(z)
@@ -105,20 +105,20 @@ class Cosmology:
         return unnormalised / hyp2f1(1.0 / 3.0, 1.0, 11.0 / 6.0, -ratio)
 
     def virial_overdensity(self, z: FloatArray | float) -> FloatArray:
-        """Virial density in units of the critical density (Bryan & Norman 1998, eq. 6)."""
+        """Return the virial density in units of the critical density (Bryan & Norman 1998, eq. 6)."""
         x = self.matter_density(z) - 1.0
         return 18.0 * math.pi**2 + 82.0 * x - 39.0 * x**2
 
     def radius_200c(self, mass_msun: FloatArray | float, z: FloatArray | float) -> FloatArray:
-        """Physical radius [kpc] within which the mean density is 200 times critical."""
+        """Return the physical radius [kpc] within which the mean density is 200 times critical."""
         return np.cbrt(3.0 * np.asarray(mass_msun) / (800.0 * math.pi * self.critical_density(z)))
 
     def collapse_clock(self, z: FloatArray | float) -> FloatArray:
-        """Time variable of merger trees, w(z) = 1.686/D(z); grows into the past."""
+        """Return the time variable of merger trees, w(z) = 1.686/D(z), which grows into the past."""
         return DELTA_COLLAPSE / self.growth(z)
 
     def clock_to_redshift(self, clock: FloatArray | float) -> FloatArray:
-        """Redshift at which `collapse_clock` has the given value; the error of 1+z is < 1e-6."""
+        """Return the redshift at which `collapse_clock` has the given value; the error of 1+z is < 1e-6."""
         clock = np.asarray(clock, dtype=np.float64)
         ln_clock, ln_one_plus_z = self._clock_table
         if np.any(~((np.log(clock) >= ln_clock[0]) & (np.log(clock) <= ln_clock[-1]))):
@@ -143,15 +143,7 @@ def _one_plus(z: FloatArray | float) -> FloatArray:
 
 @dataclass(frozen=True)
 class LensGeometry:
-    """Redshifts and angular-diameter distances of lens and source.
-
-    Attributes
-    ----------
-    z_lens, z_source
-        Redshifts.
-    d_lens_mpc, d_source_mpc, d_lens_source_mpc
-        Angular-diameter distances to the lens, to the source and from lens to source [Mpc].
-    """
+    """Redshifts and angular-diameter distances [Mpc] of lens and source."""
 
     z_lens: float
     z_source: float
@@ -161,7 +153,7 @@ class LensGeometry:
 
     @classmethod
     def from_redshifts(cls, cosmology: Cosmology, z_lens: float, z_source: float) -> LensGeometry:
-        """Distances of a lens and a source in the given cosmology."""
+        """Compute the distances of a lens and a source in the given cosmology."""
         if not 0.0 < z_lens < z_source < math.inf:
             raise ValueError(f"0 < z_lens < z_source is needed, got z_lens={z_lens!r}, z_source={z_source!r}")
         from astropy.cosmology import FlatLambdaCDM  # 0.5 s to import

@@ -1,4 +1,4 @@
-"""What must be set before the numerical libraries are imported."""
+"""Environment variables that must be set before the numerical libraries are imported."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 
 def prepare() -> None:
-    """One thread a process, and compiled kernels that belong to exactly this source code.
+    """Set one thread per process, and a cache of compiled kernels for exactly this source code.
 
-    Parallelism is over jobs, and results do not depend on the number of cores. numba looks at the file of a
-    kernel when it reuses compiled code, not at the kernels that it calls in other files: a folder per version
-    of the kernels rules out that a stale one is used. Children inherit both; variables that the user has set
-    are left alone.
+    Parallelism is over jobs, and results do not depend on the number of cores. When numba reuses compiled code, it
+    checks the file of a kernel but not the kernels that it calls in other files: one folder per version of the
+    kernels prevents the use of a stale one. Child processes inherit the variables; those of the user are kept.
     """
     for variable in _THREADS:
         os.environ.setdefault(variable, "1")
@@ -24,7 +23,7 @@ def prepare() -> None:
 
 
 def kernel_digest() -> str:
-    """SHA-256 over the names and contents of all modules of the package that hold compiled kernels."""
+    """Return the SHA-256 over the names and contents of all modules of the package that hold compiled kernels."""
     root = Path(__file__).parent
     sha = hashlib.sha256()
     for path in sorted(root.rglob("*.py")):

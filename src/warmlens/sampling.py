@@ -14,9 +14,9 @@ Span = tuple[int, int]
 
 
 def stream(seed: int, stage: str, sample: int, band: str = "") -> np.random.Generator:
-    """Random numbers that depend on (seed, stage, sample, band) alone.
+    """Return a generator of random numbers that depend on (seed, stage, sample, band) alone.
 
-    Names enter by their CRC-32, so that a stage or band keeps its numbers whatever is added beside it.
+    Names enter by their CRC-32, so that a stage or band keeps its numbers when others are added.
     """
     key = (zlib.crc32(stage.encode()), sample, zlib.crc32(band.encode()))
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
@@ -44,10 +44,10 @@ def draw_parameters(
 
 
 def grid_parameters(span: Span, m_th_kev: Sequence[float], log10_m_halo_msun: Sequence[float]) -> Parameters:
-    """Parameters of samples start..stop-1 of a grid.
+    """Return the parameters of samples start..stop-1 of a grid.
 
-    All nodes come once, relic mass fastest, before the next realization begins: more realizations
-    leave the samples before them as they are.
+    All nodes come once, relic mass fastest, before the next realization begins, so that more realizations do not
+    change earlier samples.
     """
     ids = np.arange(*span)
     halo, relic = np.divmod(ids % (len(m_th_kev) * len(log10_m_halo_msun)), len(m_th_kev))
@@ -57,15 +57,15 @@ def grid_parameters(span: Span, m_th_kev: Sequence[float], log10_m_halo_msun: Se
 
 
 def chunk_spans(n: int, size: int) -> list[Span]:
-    """Full spans [c * size, (c + 1) * size) that cover 0..n-1; the last one may reach beyond n."""
+    """Return full spans [c * size, (c + 1) * size) that cover 0..n-1; the last one may reach beyond n."""
     return [(start, start + size) for start in range(0, n, size)]
 
 
 def shard_spans(n: int, size: int) -> list[Span]:
-    """Spans of `size` that cover 0..n-1 exactly; the last one ends at n."""
+    """Return spans of `size` that cover 0..n-1 exactly; the last one ends at n."""
     return [(start, min(start + size, n)) for start in range(0, n, size)]
 
 
 def span_name(span: Span) -> str:
-    """The part of a file name that tells the span: fixed width, so that names sort."""
+    """Return the span as part of a file name, of fixed width, so that names sort."""
     return f"{span[0]:07d}-{span[1]:07d}"

@@ -27,7 +27,7 @@ def test_barrier_is_within_4_percent_of_barkana_2001():
     np.testing.assert_allclose(barrier_ratio(MASS_RATIO, 1.0), BARKANA, rtol=0.04)
 
 
-def test_massive_haloes_do_not_feel_it():
+def test_massive_halos_do_not_feel_it():
     assert barrier_ratio(np.array([1e13]), 4e8)[0] == pytest.approx(1.0, abs=1e-4)
 
 

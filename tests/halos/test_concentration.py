@@ -28,7 +28,7 @@ MAPPING = [
 
 @pytest.fixture(scope="module")
 def formation(cosmology, spectrum):
-    return FormationHistory.of_cold_haloes(
+    return FormationHistory.of_cold_halos(
         filtered_variance(dark_matter(math.inf, cosmology).transfer, spectrum, cosmology, 2.5), 1e16
     )
 
@@ -95,7 +95,7 @@ def test_mapping_matches_reference_values(m_th_kev, log_mass, log_match, c_ratio
     assert COLD(matched, 0.0)[0] / COLD(mass, 0.0)[0] == pytest.approx(c_ratio, rel=3e-3)
 
 
-def test_cold_haloes_map_to_themselves(formation, cosmology, spectrum):
+def test_cold_halos_map_to_themselves(formation, cosmology, spectrum):
     mass = np.geomspace(1e6, 1e15, 100)
     cold = filtered_variance(dark_matter(math.inf, cosmology).transfer, spectrum, cosmology, 2.5)
     np.testing.assert_allclose(formation.matching_mass(cold, mass), mass, rtol=1e-4)
@@ -106,7 +106,7 @@ def test_mapping_is_capped_where_variance_is_flat(formation, cosmology, spectrum
     np.testing.assert_allclose(formation.matching_mass(warm, np.array([1e5, 1e8])), 1e16, rtol=1e-9)
 
 
-def test_warmer_haloes_map_to_heavier_ones(formation, cosmology, spectrum):
+def test_warmer_halos_map_to_heavier_ones(formation, cosmology, spectrum):
     mass = np.geomspace(1e8, 1e12, 60)
     matched = [
         formation.matching_mass(

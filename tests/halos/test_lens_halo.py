@@ -95,13 +95,13 @@ def test_field_cuts_out_of_the_same_halo(generator):
     np.testing.assert_array_equal(field.cumulative_mass_function, whole.cumulative_mass_function)
 
 
-def test_all_subhaloes_lie_within_the_host(generator, cosmology, geometry):
+def test_all_subhalos_lie_within_the_host(generator, cosmology, geometry):
     subhalos = draw(generator).subhalos
     radius = cosmology.radius_200c(1e13, 0.295) / geometry.kpc_per_arcsec
     assert np.all(np.hypot(subhalos.x_arcsec, subhalos.y_arcsec) <= radius)
 
 
-def test_field_without_subhaloes_is_valid(generator):
+def test_field_without_subhalos_is_valid(generator):
     r = draw(generator, half_width=1e-6)
     assert r.n_surviving > 0
     assert all(values.shape == (0,) for values in columns(r).values())
@@ -115,7 +115,7 @@ def test_halo_that_accreted_nothing_is_valid(generator):
     assert not r.cumulative_mass_function.any()
 
 
-def test_early_subhaloes_lie_deeper_in_the_host_at_infall(generator, cosmology, geometry):
+def test_early_subhalos_lie_deeper_in_the_host_at_infall(generator, cosmology, geometry):
     model = dataclasses.replace(generator.model, tau_dyn="jvdb16")
     host = HaloGenerator(cosmology, geometry, model)
     infall = HaloGenerator(cosmology, geometry, dataclasses.replace(model, positions="nfw_infall"))

@@ -8,8 +8,10 @@ from scipy.integrate import quad
 from scipy.stats import kstest
 
 from warmlens.halos.dark_matter import dark_matter
-from warmlens.halos.merger_tree import BRANCHING, branching_table, grow_all_orders, grow_tree, smooth_integral
+from warmlens.halos.merger_tree import BRANCHING, branching_table, grow_tree, smooth_integral
 from warmlens.halos.power_spectrum import filtered_variance
+
+from .all_orders import grow_all_orders
 
 PCH08 = BRANCHING["pch08"]
 ROOT = 1e13

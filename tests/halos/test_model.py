@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import pytest
 
+from warmlens.config.model import HalosBlock
 from warmlens.halos.merger_tree import BRANCHING
 from warmlens.halos.model import HaloModel
 
@@ -43,3 +45,25 @@ def test_a_named_relation_leaves_no_room_for_coefficients():
     HaloModel(concentration="duffy08", concentration_min=2.0)
     with pytest.raises(ValueError, match='concentration_amplitude is set by concentration = "duffy08"'):
         HaloModel(concentration="duffy08", concentration_amplitude=6.0)
+
+
+def refuses(build):
+    try:
+        build()
+    except ValueError:
+        return True
+    return False
+
+
+NUMBERS = [field.name for field in dataclasses.fields(HaloModel) if isinstance(field.default, float)]
+
+
+@pytest.mark.parametrize("name", NUMBERS)
+@pytest.mark.parametrize("value", [-1.0, 0.0, 1e-300, math.inf, -math.inf, math.nan])
+def test_a_model_refuses_what_the_configuration_refuses(name, value, paper_config):
+    halos = paper_config.halos.model_dump()
+    in_configuration = refuses(lambda: HalosBlock(**(halos | {name: value})))
+    in_model = refuses(lambda: HaloModel(**{name: value}))
+    assert in_model == (
+        in_configuration or name == "min_mass_msun"
+    )  # 1e-300 Msun is below the floor of the tables

@@ -30,13 +30,12 @@ def test_cold_power_matches_reference_values(spectrum):
 
 
 def test_top_hat_variance_reproduces_sigma8(cosmology, spectrum):
-    radius_mpc = 8.0 / cosmology.h
-    mass = 4 * math.pi / 3 * cosmology.mean_density_msun_mpc3 * radius_mpc**3
-    assert top_hat_sigma(np.array(mass), spectrum, cosmology) == pytest.approx(cosmology.sigma8, abs=1e-6)
+    assert top_hat_sigma(spectrum, np.array([8.0])) == pytest.approx(cosmology.sigma8, abs=1e-6)
 
 
 def test_top_hat_sigma_matches_reference_values(cosmology, spectrum):
-    np.testing.assert_allclose(top_hat_sigma(DECADES, spectrum, cosmology), SIGMA_TOP_HAT, rtol=1e-3)
+    radius_mpc = np.cbrt(3 * DECADES / (4 * math.pi * cosmology.mean_density_msun_mpc3))
+    np.testing.assert_allclose(top_hat_sigma(spectrum, radius_mpc * cosmology.h), SIGMA_TOP_HAT, rtol=1e-3)
 
 
 @pytest.mark.parametrize("m_th_kev", SIGMA_SHARP_K)

@@ -62,14 +62,14 @@ def test_impossible_mass_ratio_is_an_error(ratio):
 
 
 @pytest.mark.parametrize(("bound_fraction", "tau"), [(1.0, 7.26), (0.5, 5.67), (0.1, 4.44), (1e-6, 4.13)])
-def test_truncation_of_stripped_subhaloes(bound_fraction, tau, cosmology):
+def test_truncation_of_stripped_subhalos(bound_fraction, tau, cosmology):
     # c = 8: mu(tau) = g(c) sqrt((1+x)/2) whatever mass and redshift
     mass, z, c = np.array([3e9]), np.array([2.0]), np.array([8.0])
     r_max, v_max = profiles.infall_structure(mass, z, c, cosmology)
     r_ratio, v_ratio = profiles.tidal_tracks(np.array([bound_fraction]))
     r_s, rho_s = profiles.nfw_parameters(r_max * r_ratio, v_max * v_ratio)
-    found = profiles.truncation(bound_fraction * mass / profiles.nfw_norm(r_s, rho_s))
-    assert found[0] == pytest.approx(tau, abs=6e-3)
+    measured = profiles.truncation(bound_fraction * mass / profiles.nfw_norm(r_s, rho_s))
+    assert measured[0] == pytest.approx(tau, abs=6e-3)
 
 
 def density(x, tau):
@@ -77,28 +77,7 @@ def density(x, tau):
 
 
 @pytest.mark.parametrize("tau", [0.3, 1.0, 4.0, 20.0])
-def test_mass_is_the_integral_of_the_density(tau):
-    for x in (0.01, 0.5, 1.0, 3.0, 50.0):
-        integral = quad(lambda s: s**2 * density(s, tau), 0.0, x, epsabs=0, epsrel=1e-11)[0]
-        assert profiles.tnfw_mass(x, tau) == pytest.approx(integral, rel=1e-8)
-    assert profiles.tnfw_mass(1e8, tau) == pytest.approx(profiles.tnfw_total_mass(tau), rel=1e-6)
-
-
-@pytest.mark.parametrize("tau", [0.3, 1.0, 4.0, 20.0])
-def test_projected_mass_is_the_integral_over_the_cylinder(tau):
-    total = profiles.tnfw_total_mass(tau)
-    for x in (0.01, 0.3, 1.0, 1.0 + 1e-9, 2.5, 30.0):
-        # outside of the sphere x, the shell s keeps sqrt(1 - (x/s)^2) of its mass out of the cylinder
-        def outside(t, x=x):
-            s = x / math.cos(t)
-            return s**2 * density(s, tau) * math.sin(t) * x * math.sin(t) / math.cos(t) ** 2
-
-        integral = quad(outside, 0.0, 0.5 * math.pi, epsabs=0, epsrel=1e-10, limit=200)[0]
-        assert profiles.tnfw_projected_mass(x, tau) == pytest.approx(total - integral, rel=1e-7)
-
-
-def test_projected_mass_is_finite_and_rising_from_the_centre():
-    x = np.geomspace(2e-4, 1e4, 400)
-    for tau in (0.3, 4.0, 20.0):
-        assert np.all(np.diff(profiles.tnfw_projected_mass(x, tau)) > 0)
-    assert profiles.tnfw_projected_mass(0.0, 4.0) == profiles.tnfw_projected_mass(1e-4, 4.0)
+def test_total_mass_is_the_integral_of_the_density(tau):
+    inside = quad(lambda s: s**2 * density(s, tau), 0.0, tau, epsabs=0, epsrel=1e-11)[0]
+    outside = quad(lambda s: s**2 * density(s, tau), tau, math.inf, epsabs=0, epsrel=1e-11)[0]
+    assert profiles.tnfw_total_mass(tau) == pytest.approx(inside + outside, rel=1e-9)

@@ -100,13 +100,13 @@ def test_friction_reference_value():
 
 
 @pytest.mark.parametrize(("z_acc", "ratio"), [(0.5, 2.51), (1.0, 9.30), (2.0, 18.6), (3.0, 25.1)])
-def test_friction_removes_heavier_subhaloes(z_acc, ratio):
+def test_friction_removes_heavier_subhalos(z_acc, ratio):
     ratios = ratio * np.array([0.99, 1.01])
     ln_a = friction_ln_a(np.full(2, -math.log1p(z_acc)), ratios, np.full(2, 0.5), 0.216, 1.3, 1.9)
     assert ln_a[0] < LN_A_LENS < ln_a[1]
 
 
-def test_friction_of_tiny_subhaloes_does_not_overflow():
+def test_friction_of_tiny_subhalos_does_not_overflow():
     ln_a = friction_ln_a(np.array([-1.0]), np.array([1e9]), np.array([1.0]), 0.216, 1.3, 1.9)
     assert np.isfinite(ln_a[0])
 

@@ -26,6 +26,6 @@ def test_lensed_image_is_the_blurred_basis() -> None:
     x, y = grid.subpixel_coordinates(2)
     psf = rng.random((5, 5))
     convolution = Convolution(psf / psf.sum(), grid.shape)
-    coefficients = rng.normal(size=sum(item.n_coefficients for item in sets))
+    coefficients = rng.normal(size=sum(shapelets.n_coefficients for shapelets in sets))
     expected = convolution.forward((pixel_basis(sets, x, y) @ coefficients).reshape(grid.shape))
     np.testing.assert_allclose(lensed_image(sets, coefficients, x, y, convolution), expected, atol=1e-12)

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from warmlens.imaging.noise import NoiseModel, with_quasar_variance
+from warmlens.imaging.noise import NoiseModel
 
 MODEL = NoiseModel(background_rms=0.01, exposure_s=1000.0)
 
@@ -31,10 +31,6 @@ def test_noise_of_a_map() -> None:
     np.testing.assert_allclose(drawn.std(axis=1), [0.1, 2.0, 0.0], rtol=0.02)
     with pytest.raises(ValueError, match="a noise map was given"):
         NoiseModel(None, None).sigma(sigma)
-
-
-def test_quasar_variance() -> None:
-    np.testing.assert_allclose(with_quasar_variance(np.array([3.0, 3.0]), np.array([0.0, 40.0]), 0.1), [3.0, 5.0])
 
 
 def test_moments_of_a_mock_s_noise() -> None:

@@ -36,7 +36,7 @@ def test_autocorrelation_is_the_mean_over_pairs() -> None:
     """Offset by offset, of pixels that are used, by brute force."""
     rng = np.random.default_rng(1)
     image, used = filtered(rng, (9, 12)), rng.random((9, 12)) < 0.7
-    found = autocorrelation(image, used, 2)
+    correlation = autocorrelation(image, used, 2)
     for dy in range(-2, 3):
         for dx in range(-2, 3):
             pairs = [
@@ -44,7 +44,9 @@ def test_autocorrelation_is_the_mean_over_pairs() -> None:
                 for y, x in np.argwhere(used)
                 if 0 <= y + dy < 9 and 0 <= x + dx < 12 and used[y + dy, x + dx]
             ]
-            assert found[dy + 2, dx + 2] == pytest.approx(np.mean(pairs) / np.mean(image[used] ** 2), rel=1e-10)
+            assert correlation[dy + 2, dx + 2] == pytest.approx(
+                np.mean(pairs) / np.mean(image[used] ** 2), rel=1e-10
+            )
 
 
 def test_autocorrelation_needs_pairs() -> None:
@@ -60,8 +62,8 @@ def test_drawn_noise_has_variance_and_correlation() -> None:
     rng = np.random.default_rng(2)
     everywhere = np.ones(SHAPE, dtype=bool)
     drawn = np.array([correlate(rng.standard_normal(SHAPE), EXPECTED) for _ in range(40)])
-    found = np.mean([autocorrelation(one, everywhere) for one in drawn], axis=0)
-    np.testing.assert_allclose(found, EXPECTED, atol=5.0 * 1.5 / np.sqrt(drawn.size))
+    correlation = np.mean([autocorrelation(one, everywhere) for one in drawn], axis=0)
+    np.testing.assert_allclose(correlation, EXPECTED, atol=5.0 * 1.5 / np.sqrt(drawn.size))
     assert drawn.var() == pytest.approx(1.0, abs=0.01)
     # and so have means over boxes, where noise and substructure are compared
     boxes = drawn.reshape(40, 20, 6, 25, 6).mean(axis=(2, 4))
@@ -84,12 +86,12 @@ def test_sky_is_measured_without_bias(sky_level: float) -> None:
     sky = around(60.0)
     y, x = np.indices(SHAPE) / 100.0
     background = sky_level * (1.0 + x - 0.5 * y**2 + 0.3 * x**3 - 0.2 * x * y**3)
-    found, rms = zip(*(sky_noise(background + 0.2 * filtered(rng), sky) for _ in range(60)), strict=True)
-    one = np.std(found, axis=0).max()
+    measured, rms = zip(*(sky_noise(background + 0.2 * filtered(rng), sky) for _ in range(60)), strict=True)
+    one = np.std(measured, axis=0).max()
     assert 0.02 < one < 0.06
-    np.testing.assert_allclose(np.mean(found, axis=0), EXPECTED, atol=0.25 * one + 4.0 * one / np.sqrt(60.0))
-    scatter = float(np.std([item.sum() for item in found]))
-    assert np.mean([item.sum() for item in found]) == pytest.approx(EXPECTED.sum(), abs=0.5 * scatter)
+    np.testing.assert_allclose(np.mean(measured, axis=0), EXPECTED, atol=0.25 * one + 4.0 * one / np.sqrt(60.0))
+    sums = np.sum(measured, axis=(1, 2))
+    assert np.mean(sums) == pytest.approx(EXPECTED.sum(), abs=0.5 * np.std(sums))
     assert np.mean(rms) == pytest.approx(0.2, rel=0.01)
 
 
@@ -98,8 +100,8 @@ def test_sources_in_the_sky_are_left_out() -> None:
     image = filtered(rng)
     clean, clean_rms = sky_noise(image, around(60.0))
     image[3:6, 2:5] += 50.0
-    found, rms = sky_noise(image, around(60.0))
-    np.testing.assert_allclose(found, clean, atol=0.02)
+    correlation, rms = sky_noise(image, around(60.0))
+    np.testing.assert_allclose(correlation, clean, atol=0.02)
     assert rms == pytest.approx(clean_rms, rel=0.01)
 
 

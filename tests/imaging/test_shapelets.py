@@ -21,22 +21,22 @@ def rays():
 
 def test_orthonormal_at_the_orders_of_the_paper():
     """Trapezoids are spectrally accurate for these functions; the norm is beta^2 (see the module)."""
-    item = ShapeletSet(50, 0.2, 0.0, 0.0)
+    shapelets = ShapeletSet(50, 0.2, 0.0, 0.0)
     step = 0.04
     axis = np.arange(-75, 76) * step
     x, y = (array.ravel() for array in np.meshgrid(axis, axis))
-    values = basis([item], x, y)
-    gram = values.T @ values * step**2 / item.beta**2
-    np.testing.assert_allclose(gram, np.eye(item.n_coefficients), atol=1e-10)
+    values = basis([shapelets], x, y)
+    gram = values.T @ values * step**2 / shapelets.beta**2
+    np.testing.assert_allclose(gram, np.eye(shapelets.n_coefficients), atol=1e-10)
 
 
 def test_order_of_the_functions():
     """By total order, n1 falling: at y = 0 an odd n2 vanishes, at x = 0 an odd n1."""
-    item = ShapeletSet(3, 0.3, 0.0, 0.0)
-    assert item.orders()[:6] == ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-    assert len(item.orders()) == item.n_coefficients == 10
-    on_x, on_y = basis([item], np.array([0.11, 0.0]), np.array([0.0, 0.11]))
-    for index, (n1, n2) in enumerate(item.orders()):
+    shapelets = ShapeletSet(3, 0.3, 0.0, 0.0)
+    assert shapelets.orders()[:6] == ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+    assert len(shapelets.orders()) == shapelets.n_coefficients == 10
+    on_x, on_y = basis([shapelets], np.array([0.11, 0.0]), np.array([0.0, 0.11]))
+    for index, (n1, n2) in enumerate(shapelets.orders()):
         assert (on_x[index] == 0.0) == (n2 % 2 == 1)
         assert (on_y[index] == 0.0) == (n1 % 2 == 1)
 

@@ -55,13 +55,13 @@ def test_gradient_is_the_difference_of_the_brightness(name: str, rays: FloatArra
 def test_gradient_of_lenstronomy_s_source(rays: FloatArray) -> None:
     from lenstronomy.LightModel.light_model import LightModel
 
-    item = ShapeletSet(8, 0.18, -0.1, 0.06)
-    coefficients = np.random.default_rng(5).normal(size=item.n_coefficients)
+    shapelets = ShapeletSet(8, 0.18, -0.1, 0.06)
+    coefficients = np.random.default_rng(5).normal(size=shapelets.n_coefficients)
     kwargs = {"amp": coefficients, "n_max": 8, "beta": 0.18, "center_x": -0.1, "center_y": 0.06}
     model = LightModel(["SHAPELETS"])
     x, y = (axis.ravel() for axis in rays)
     expected = differences(lambda u, v: model.surface_brightness(u, v, [kwargs]), x, y)
-    for ours, theirs in zip(source_gradient([item], coefficients, x, y), expected, strict=True):
+    for ours, theirs in zip(source_gradient([shapelets], coefficients, x, y), expected, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-8 * np.abs(theirs).max())
 
 
@@ -71,8 +71,8 @@ def test_gradient_is_linear_in_the_coefficients_and_separate_by_set(rays: FloatA
     coefficients = np.random.default_rng(6).normal(size=n_coefficients(sets))
     whole = np.array(source_gradient(sets, coefficients, *rays))
     parts, start = np.zeros_like(whole), 0
-    for item in sets:
-        part = slice(start, start + item.n_coefficients)
-        parts += source_gradient([item], coefficients[part], *rays)
+    for shapelets in sets:
+        part = slice(start, start + shapelets.n_coefficients)
+        parts += source_gradient([shapelets], coefficients[part], *rays)
         start = part.stop
     np.testing.assert_allclose(parts, whole, rtol=0, atol=1e-12 * np.abs(whole).max())

@@ -30,16 +30,16 @@ def test_isothermal_sphere_has_its_einstein_ring_and_a_point() -> None:
 
 
 def test_elliptical_power_law_with_shear_equals_lenstronomy() -> None:
-    found = critical_curves(*EPL, WINDOW)
+    curves = critical_curves(*EPL, WINDOW)
     model = LensModelExtensions(LensModel(EPL[0]))
     x, y, source_x, source_y = model.critical_curve_caustics(EPL[1], compute_window=5, grid_scale=0.01)
-    assert len(found) == len(x) == 2  # tangential, and radial since the slope is below isothermal
+    assert len(curves) == len(x) == 2  # tangential, and radial since the slope is below isothermal
     expected = sorted(
         (np.column_stack(columns) for columns in zip(x, y, source_x, source_y, strict=True)),
         key=len,
         reverse=True,
     )
-    for curve, theirs in zip(found, expected, strict=True):
+    for curve, theirs in zip(curves, expected, strict=True):
         for mine, other in ((curve.sky, theirs[:, :2]), (curve.source, theirs[:, 2:])):
             assert cKDTree(_dense(other)).query(mine)[0].max() < 1e-2
             assert cKDTree(_dense(mine)).query(other)[0].max() < 1e-2

@@ -10,20 +10,14 @@ from lenstronomy.LensModel.lens_model import LensModel
 from lenstronomy.LensModel.Solver.lens_equation_solver import LensEquationSolver
 
 from warmlens.imaging.grid import PixelGrid
-from warmlens.lensing.deflection import tnfw_deflection
+from warmlens.lensing.deflection import TnfwHalos, tnfw_deflection
 from warmlens.lensing.images import DeflectionField, moved_images, solve_images
 from warmlens.lensing.macro_model import deflection
 
 C, S = np.cos(0.3), np.sin(0.3)
 GRID = PixelGrid(130, 130, 0.05, -2.2, -4.0, ((C, -S), (S, C)))
 QUASARS = np.array([[-2.037, -0.520], [-2.076, 0.662], [-1.460, -1.632], [1.074, 0.356]])
-SUBHALO = {
-    "center_x": [-1.9],
-    "center_y": [-0.3],
-    "r_s_arcsec": [0.15],
-    "r_t_arcsec": [0.6],
-    "alpha_scale": [0.02],
-}
+SUBHALO = TnfwHalos([-1.9], [-0.3], [0.15], [0.6], [0.02])
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +34,7 @@ def test_images_are_those_of_lenstronomy(
     smooth: np.ndarray, paper_lens: tuple[list[str], list[dict[str, Any]]]
 ) -> None:
     names, kwargs = paper_lens
-    perturbed = smooth + tnfw_deflection(*GRID.coordinates(), **SUBHALO)
+    perturbed = smooth + tnfw_deflection(*GRID.coordinates(), SUBHALO)
     source = np.array([-0.503, -0.058])
     images = solve_images(DeflectionField(perturbed, GRID), source, QUASARS)
     tnfw = {"Rs": 0.15, "alpha_Rs": 0.02 * (1 - np.log(2)), "r_trunc": 0.6, "center_x": -1.9, "center_y": -0.3}

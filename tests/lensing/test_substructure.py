@@ -9,7 +9,7 @@ from lenstronomy.LensModel.Profiles.nfw import NFW
 from warmlens.cosmology import Cosmology, LensGeometry
 from warmlens.halos.lens_halo import Subhalos
 from warmlens.imaging.grid import PixelGrid
-from warmlens.lensing.deflection import tnfw_angular_scales, tnfw_deflection
+from warmlens.lensing.deflection import TnfwHalos, tnfw_angular_scales, tnfw_deflection
 from warmlens.lensing.high_pass import FilterKind, high_pass
 from warmlens.lensing.substructure import (
     SmoothHost,
@@ -32,7 +32,7 @@ def _subhalos(x: list[float], y: list[float]) -> Subhalos:
     )  # fmt: skip
 
 
-def test_no_subhaloes_no_deflection() -> None:
+def test_no_subhalos_no_deflection() -> None:
     assert not filtered_deflection(_subhalos([], []), GRID, GEOMETRY, 0.4).any()
 
 
@@ -94,7 +94,8 @@ def test_no_mass_is_left_beyond_the_filter(kind: FilterKind) -> None:
     scales = tnfw_angular_scales(
         halo.r_s_kpc, halo.r_t_kpc, halo.rho_s, GEOMETRY.kpc_per_arcsec, GEOMETRY.sigma_crit_msun_kpc2
     )
-    whole = _mass_in_box(tnfw_deflection(*grid.coordinates(), halo.x_arcsec, halo.y_arcsec, *scales), 32)
+    on_sky = TnfwHalos(halo.x_arcsec, halo.y_arcsec, *scales)
+    whole = _mass_in_box(tnfw_deflection(*grid.coordinates(), on_sky), 32)
     alpha = filtered_deflection(halo, grid, GEOMETRY, 0.4, kind)
     left = 0.08 if kind == "median_wavelet" else 0.005  # a median keeps no mass exactly
     assert abs(_mass_in_box(alpha, 32)) < left * whole
@@ -103,7 +104,7 @@ def test_no_mass_is_left_beyond_the_filter(kind: FilterKind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_mean_convergence_of_a_population_vanishes(kind: FilterKind) -> None:
-    """In boxes of 3.25 arcsec, 8 filter widths, of a field full of subhaloes."""
+    """In boxes of 3.25 arcsec, 8 filter widths, of a field full of subhalos."""
     rng = np.random.default_rng(3)
     subhalos = _subhalos(*rng.uniform(-6.0, 6.0, (2, 200)).tolist())
     grid = PixelGrid.centred((130, 130), 0.05)
@@ -133,7 +134,7 @@ def test_filters_agree_on_what_is_small() -> None:
         assert 0.7 < other.std() / gaussian.std() < 1.4
 
 
-def test_smooth_host_holds_what_the_subhaloes_do_not() -> None:
+def test_smooth_host_holds_what_the_subhalos_do_not() -> None:
     cosmology = Cosmology()
     host = SmoothHost.of_halo(10**13.3, 4.0, 0.1, cosmology, 0.295)
     r_200 = float(cosmology.radius_200c(10**13.3, 0.295))
@@ -148,7 +149,7 @@ def test_smooth_host_holds_what_the_subhaloes_do_not() -> None:
 
 
 def test_smooth_host_leaves_its_cusp() -> None:
-    """lenstronomy's NFW through the same filter; it adds to the subhaloes, and far out nothing is left."""
+    """lenstronomy's NFW through the same filter; it adds to the subhalos, and far out nothing is left."""
     host = SmoothHost.of_halo(10**13.3, 4.0, 0.1, Cosmology(), 0.295)
     subhalos = _subhalos([0.3], [0.2])
     grid = PixelGrid.centred((100, 100), 0.05)

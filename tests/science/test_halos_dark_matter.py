@@ -1,4 +1,4 @@
-"""What the particle changes in whole haloes: trees, structure and the choice of the free-streaming break."""
+"""What the particle changes in whole halos: trees, structure and the choice of the free-streaming break."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_very_heavy_particles_are_cold(population):
     assert abs(mean_counts(population, 2.0)[0][0] - cold[0]) > 10 * error[0]  # 2 keV is far from it
 
 
-def test_breaks_agree_in_what_they_do_to_haloes(population):
+def test_breaks_agree_in_what_they_do_to_halos(population):
     # half-mode masses of 2 keV: 2.06e9 (viel05), 1.50e9 (bode01), 2.04e9 (vogel23)
     scales = {form: dark_matter(2.0, COSMOLOGY, form).half_mode_mass_msun for form in TRANSFER_INDEX}
     assert scales == pytest.approx({"viel05": 2.057e9, "bode01": 1.501e9, "vogel23": 2.040e9}, rel=1e-3)
@@ -68,9 +68,9 @@ def test_no_subhalo_is_heavier_than_its_host_or_less_than_its_truncation(m_th_ke
         assert np.all(tree.m_acc_msun <= tree.host_mass_msun)
 
 
-def test_warm_haloes_at_z_0_have_fewer_and_slower_subhaloes():
+def test_warm_halos_at_z_0_have_fewer_and_slower_subhalos():
     # hosts of 10^12.5 Msun at z = 0: the cumulative functions of m and v_max of Birrer et al. 2017, appendix B,
-    # fall from colder to warmer models (five haloes a model), most at the low end
+    # fall from colder to warmer models (five halos a model), most at the low end
     population = HaloPopulation(COSMOLOGY, 0.0, HaloModel(tau_dyn="jvdb16", min_mass_msun=1e8))
     halos = {}
     for m_th_kev in (2.0, math.inf):

@@ -26,12 +26,13 @@ def geometry():
 
 @pytest.fixture(scope="module")
 def unevolved(geometry):
-    """Mean accreted haloes a host of 1e13 Msun in bins of `EDGES`, by particle mass."""
+    """Mean accreted halos a host of 1e13 Msun in bins of `EDGES`, by particle mass."""
     generator = HaloGenerator(COSMOLOGY, geometry, HaloModel(min_mass_msun=10**7.5))
     rng = np.random.default_rng(20)
     counts = {}
     for m_th_kev, n_trees in ((1.0, 800), (2.0, 800), (3.3, 500), (math.inf, 200)):
-        mass = np.concatenate([generator.tree(m_th_kev, 1e13, rng).m_acc_msun for _ in range(n_trees)])
+        tree, relic = generator.population.tree, generator.dark_matter(m_th_kev)
+        mass = np.concatenate([tree(relic, 1e13, rng).m_acc_msun for _ in range(n_trees)])
         counts[m_th_kev] = np.histogram(np.log10(mass), EDGES)[0] / n_trees
     return counts
 
@@ -60,7 +61,7 @@ def test_suppression_is_monotone_in_particle_mass(unevolved):
 
 @pytest.mark.parametrize("m_th_kev", [1.0, 2.0, 3.3])
 def test_warm_suppression_agrees_with_lovell_2020_above_the_half_mode_mass(m_th_kev, unevolved):
-    # subhaloes, (1 + (4.2 M_hm/M)^2.5)^-0.2 with 20% of scatter, here 21% at worst; the
+    # subhalos, (1 + (4.2 M_hm/M)^2.5)^-0.2 with 20% of scatter, here 21% at worst; the
     # sharp-k filter cuts far more steeply below
     centre = 10 ** (0.5 * (EDGES[1:] + EDGES[:-1]))
     m_hm = ThermalRelic(m_th_kev, COSMOLOGY).half_mode_mass_msun
@@ -78,7 +79,7 @@ F_SUB = {12.5: 0.1090, 13.5: 0.1354}  # 0.3563 / N_tau^0.6 - 0.075, m > 1e-4 M, 
 
 @pytest.fixture(scope="module")
 def evolved():
-    """Cold haloes without friction, m > 1e-4 M, as Jiang & van den Bosch 2016 count them; by log M and tau_dyn."""
+    """Cold halos without friction, m > 1e-4 M, as Jiang & van den Bosch 2016 count them; by log M and tau_dyn."""
     halos = {}
     for log_mass in F_SUB:
         for tau_dyn in ("jvdb16", "paper"):
@@ -160,7 +161,7 @@ def _integral(function, low, high):
 
 
 def test_crowding_of_the_central_field(geometry):
-    # prototype: 57 subhaloes above 1e7 Msun in 4" x 4", 10^13.5 Msun, cold (20 trees x 3 projections)
+    # prototype: 57 subhalos above 1e7 Msun in 4" x 4", 10^13.5 Msun, cold (20 trees x 3 projections)
     generator = HaloGenerator(COSMOLOGY, geometry, HaloModel())
     rng = np.random.default_rng(40)
     counts = [generator.draw(math.inf, 10**13.5, 2.0, rng).subhalos.m_bound.size for _ in range(15)]

@@ -1,4 +1,4 @@
-"""Where the subhaloes of drawn haloes lie, by mode, against the host's profile and an independent prototype."""
+"""Where the subhalos of drawn halos lie, by mode, against the host's profile and an independent prototype."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def scaled_radii(halos):
 
 
 def enclosed(halos):
-    """Share of the subhaloes within R200c that lie within each of `RADII`."""
+    """Share of the subhalos within R200c that lie within each of `RADII`."""
     r = scaled_radii(halos)
     return np.array([(r < limit).sum() for limit in RADII]) / (r < 1.0).sum()
 
 
-def test_evolved_subhaloes_follow_the_host_with_nfw_host():
+def test_evolved_subhalos_follow_the_host_with_nfw_host():
     r = scaled_radii(draw("nfw_host", 30))
     c = float(HaloPopulation(COSMOLOGY, Z_ROOT, HaloModel()).cold_concentration(MASS, Z_ROOT))
     assert c == pytest.approx(4.17, abs=0.01)
@@ -43,7 +43,7 @@ def test_evolved_subhaloes_follow_the_host_with_nfw_host():
     assert kstest(r, lambda y: nfw_mass(1.2 * c * y) / nfw_mass(1.2 * c)).pvalue < 1e-6
 
 
-def test_accreted_subhaloes_on_orbits_follow_the_host_in_number():
+def test_accreted_subhalos_on_orbits_follow_the_host_in_number():
     # Birrer et al. 2017, section 3.1.4: they "follow the NFW profile"; so they do by number, before stripping.
     # Prototype, 60 trees: 0.078, 0.197, 0.322, 0.556, 0.757; an NFW profile: 0.065, 0.182, 0.306, 0.539, 0.743.
     halos = draw("orbit_infall", 30, stripping_amplitude=0.0)
@@ -53,7 +53,7 @@ def test_accreted_subhaloes_on_orbits_follow_the_host_in_number():
     assert np.all(np.abs(other / [0.078, 0.197, 0.322, 0.556, 0.757] - 1.0) > 0.12)
 
 
-def test_evolved_subhaloes_on_orbits_leave_the_centre():
+def test_evolved_subhalos_on_orbits_leave_the_centre():
     # ... but not in what is left of them: within 0.1 R200c the prototype has 0.006-0.008 of those above 1e8 Msun
     on_orbits, in_host = enclosed(draw("orbit_infall", 40))[0], enclosed(draw("nfw_host", 10))[0]
     assert 0.004 < on_orbits < 0.014

@@ -28,18 +28,21 @@ def test_power_agrees_with_colossus(peer, spectrum):
     np.testing.assert_allclose(spectrum.power[inside][::50], expected, rtol=5e-4)
 
 
+def radius_mpch(mass):
+    return np.cbrt(3 * mass / (4 * math.pi * COSMOLOGY.mean_density_msun_mpc3)) * COSMOLOGY.h
+
+
 def test_top_hat_sigma_agrees_with_colossus(peer, spectrum):
-    mass = 10.0 ** np.arange(6, 16)
-    radius = np.cbrt(3 * mass / (4 * math.pi * COSMOLOGY.mean_density_msun_mpc3)) * COSMOLOGY.h
+    radius = radius_mpch(10.0 ** np.arange(6, 16))
     expected = peer.sigma(radius, ps_args={"model": "eisenstein98_zb"})
-    np.testing.assert_allclose(top_hat_sigma(mass, spectrum, COSMOLOGY), expected, rtol=1e-3)
+    np.testing.assert_allclose(top_hat_sigma(spectrum, radius), expected, rtol=1e-3)
 
 
 def test_barrier_factor_is_the_ratio_of_the_filters(spectrum):
-    # Benson et al. 2013 raise the barrier by 1.197 to keep the mass function of massive haloes
+    # Benson et al. 2013 raise the barrier by 1.197 to keep the mass function of massive halos
     mass = np.geomspace(1e14, 3e14, 5)
     sharp = np.sqrt(filtered_variance(COLD.transfer, spectrum, COSMOLOGY, 2.5).variance(mass))
-    np.testing.assert_allclose(sharp / top_hat_sigma(mass, spectrum, COSMOLOGY), 1.197, rtol=7e-3)
+    np.testing.assert_allclose(sharp / top_hat_sigma(spectrum, radius_mpch(mass)), 1.197, rtol=7e-3)
 
 
 # Above the half-mode mass, and down to half of it. 5% and 15% hold at 2 keV alone: the fit depends on M/M_hm only,
@@ -55,9 +58,9 @@ def test_barrier_factor_is_the_ratio_of_the_filters(spectrum):
     ],
 )
 def test_warm_concentrations_agree_with_schneider_2012(m_th_kev, tolerances, spectrum):
-    # (1 + 15 M_hm/M)^-0.3, a fit to N-body haloes
+    # (1 + 15 M_hm/M)^-0.3, a fit to N-body halos
     relation = ConcentrationRelation()
-    formation = FormationHistory.of_cold_haloes(filtered_variance(COLD.transfer, spectrum, COSMOLOGY, 2.5), 1e16)
+    formation = FormationHistory.of_cold_halos(filtered_variance(COLD.transfer, spectrum, COSMOLOGY, 2.5), 1e16)
     relic = ThermalRelic(m_th_kev, COSMOLOGY)
     warm = filtered_variance(relic.transfer, spectrum, COSMOLOGY, 2.5)
     m_hm = relic.half_mode_mass_msun

@@ -17,8 +17,10 @@ from numba import njit
 
 from warmlens.cosmology import Cosmology
 from warmlens.halos.dark_matter import dark_matter
-from warmlens.halos.merger_tree import BRANCHING, branching_table, grow_all_orders, grow_tree
+from warmlens.halos.merger_tree import BRANCHING, branching_table, grow_tree
 from warmlens.halos.power_spectrum import SharpKVariance, cdm_power, filtered_variance, top_hat_sigma
+
+from ..halos.all_orders import grow_all_orders
 
 COSMOLOGY = Cosmology()
 SPECTRUM = cdm_power(COSMOLOGY)
@@ -63,7 +65,7 @@ def integral(fit, edges):
 def grown(
     root, resolution, branching, n_trees, seed, grow, variance=None, clocks=CLOCKS, factor=1.197, ratio=None
 ):
-    """Trees of cold dark matter in the lens of the paper, unless told otherwise."""
+    """Trees of cold dark matter in the lens of the paper, unless set otherwise."""
     variance, ratio = variance or variance_of(math.inf), ratio or np.ones_like
     table = branching_table(variance, root, resolution, branching, factor, ratio)
     rng = np.random.default_rng(seed)
@@ -142,7 +144,8 @@ def test_formation_redshift_agrees_with_the_fit_of_jiang_van_den_bosch_2016(log_
 def conditional_excess(dz, branching):
     root, edges = 1e13, np.linspace(-3.0, math.log10(0.25), 9)
     ln_mass = np.linspace(math.log(1e9), math.log(2e13), 800)
-    ln_sigma = np.log(top_hat_sigma(np.exp(ln_mass), SPECTRUM, COSMOLOGY))
+    radius_mpc = np.cbrt(3.0 * np.exp(ln_mass) / (4.0 * math.pi * COSMOLOGY.mean_density_msun_mpc3))
+    ln_sigma = np.log(top_hat_sigma(SPECTRUM, radius_mpc * COSMOLOGY.h))
     variance = SharpKVariance(ln_mass, 2.0 * ln_sigma, -np.gradient(ln_sigma, ln_mass))
     clocks = float(COSMOLOGY.collapse_clock(0.0)), float(COSMOLOGY.collapse_clock(dz))
     trees = grown(root, 4e-4 * root, branching, 1000, 4, grow_all_orders, variance, clocks, factor=1.0)
@@ -181,8 +184,8 @@ def _look_up(x, grid, values):
 def _envelope_walk(rng, clock, clock_end, root, resolution, ln_mass, ln_s, slope, ln_u, ln_j, branching, factor):
     g0, gamma1, gamma2, gamma3 = branching
     norm = math.sqrt(2.0 / math.pi)
-    found = np.empty(200_000)
-    n_found = 0
+    masses = np.empty(200_000)
+    n_masses = 0
     mass = root
     while mass > 2.0 * resolution:
         s2 = math.exp(_look_up(math.log(mass), ln_mass, ln_s))
@@ -217,10 +220,10 @@ def _envelope_walk(rng, clock, clock_end, root, resolution, ln_mass, ln_s, slope
                 one, other = q * mass, left - q * mass
                 left = max(one, other)
                 if min(one, other) > resolution:
-                    found[n_found] = min(one, other)
-                    n_found += 1
+                    masses[n_masses] = min(one, other)
+                    n_masses += 1
         mass = left
-    return found[:n_found]
+    return masses[:n_masses]
 
 
 def envelope_trees(variance, root, resolution, branching, n_trees, seed):
@@ -259,7 +262,7 @@ def test_tables_and_envelope_give_the_same_mass_function(branching, m_th_kev):
 
 
 # Unevolved mass function of warm over that of cold dark matter: between the fits of Lovell et al. 2014
-# (subhaloes), / 1.3, and Schneider et al. 2012 (haloes), * 1.15, above 0.3 M_hm; within 2.5 of the former for
+# (subhalos), / 1.3, and Schneider et al. 2012 (halos), * 1.15, above 0.3 M_hm; within 2.5 of the former for
 # 0.09 < m/M_hm < 1, and far below it further down, where the sharp-k variance has no power left.
 
 
@@ -268,7 +271,7 @@ EDGES = np.arange(7.5, 11.1, 0.5)  # log10(m_acc/Msun)
 
 @pytest.fixture(scope="module")
 def unevolved():
-    """Mean accreted haloes a host of 1e13 Msun in bins of `EDGES`, by particle mass."""
+    """Mean accreted halos a host of 1e13 Msun in bins of `EDGES`, by particle mass."""
     means = {}
     for m_th_kev, n_trees in ((1.0, 1000), (2.0, 1000), (3.3, 500), (math.inf, 80)):
         model = dark_matter(m_th_kev, COSMOLOGY)

@@ -16,14 +16,14 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import lensed_image
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet
-from warmlens.lensing.deflection import tnfw_deflection
+from warmlens.lensing.deflection import TnfwHalos, tnfw_deflection
 from warmlens.lensing.macro_model import deflection, lens_light
 
 N_MAX, BETA, CENTER = 10, 0.18, (-0.503, -0.058)
 TOLERANCE = 1e-6  # of the peak
 
 
-def test_mock_image_with_subhaloes(paper_lens: tuple[list[str], list[dict[str, Any]]]) -> None:
+def test_mock_image_with_subhalos(paper_lens: tuple[list[str], list[dict[str, Any]]]) -> None:
     names, kwargs = paper_lens
     grid = PixelGrid.centred((80, 80), 0.06)
     psf = hst_like_psf(805.0, grid.pixel_scale, 21)
@@ -31,11 +31,12 @@ def test_mock_image_with_subhaloes(paper_lens: tuple[list[str], list[dict[str, A
     coefficients = np.random.default_rng(8).normal(size=shapelets.n_coefficients)
     center_x, center_y = np.array([-2.0, 0.6]), np.array([0.1, -1.1])
     r_s, r_t, scale = np.array([0.3, 0.15]), np.array([0.9, 0.8]), np.array([0.02, 0.04])
+    halos = TnfwHalos(center_x, center_y, r_s, r_t, scale)
     x, y = grid.subpixel_coordinates(2)
-    alpha = deflection(names, kwargs, x, y) + tnfw_deflection(x, y, center_x, center_y, r_s, r_t, scale)
+    alpha = deflection(names, kwargs, x, y) + tnfw_deflection(x, y, halos)
     ours = lensed_image((shapelets,), coefficients, x - alpha[0], y - alpha[1], Convolution(psf, grid.shape))
 
-    subhaloes = [
+    subhalos = [
         {"Rs": r_s[i], "alpha_Rs": scale[i] * (1.0 - np.log(2.0)), "r_trunc": r_t[i],
          "center_x": center_x[i], "center_y": center_y[i]}
         for i in range(2)
@@ -54,13 +55,13 @@ def test_mock_image_with_subhaloes(paper_lens: tuple[list[str], list[dict[str, A
         kwargs_numerics={"supersampling_factor": 2, "supersampling_convolution": False},
     )
     source = {"amp": coefficients, "n_max": N_MAX, "beta": BETA, "center_x": CENTER[0], "center_y": CENTER[1]}
-    theirs = model.image([*kwargs, *subhaloes], [source], unconvolved=False)
+    theirs = model.image([*kwargs, *subhalos], [source], unconvolved=False)
     theirs = theirs / grid.pixel_scale**2  # per pixel -> surface brightness, the unit of our coefficients
     peak = np.abs(theirs).max()
     assert np.abs(ours - theirs).max() < TOLERANCE * peak
     without = deflection(names, kwargs, x, y)
     smooth = lensed_image((shapelets,), coefficients, x - without[0], y - without[1], Convolution(psf, grid.shape))
-    assert np.abs(smooth - theirs).max() > 1e-2 * peak  # the subhaloes are seen
+    assert np.abs(smooth - theirs).max() > 1e-2 * peak  # the subhalos are seen
 
 
 def test_whole_mock_with_clumps_light_and_quasars(paper_lens: tuple[list[str], list[dict[str, Any]]]) -> None:
@@ -74,7 +75,7 @@ def test_whole_mock_with_clumps_light_and_quasars(paper_lens: tuple[list[str], l
     convolution = Convolution(psf, grid.shape)
     rng = np.random.default_rng(9)
     sets = (ShapeletSet(N_MAX, BETA, *CENTER), *(ShapeletSet(3, 0.04, *rng.normal(CENTER, 0.2)) for _ in range(3)))
-    coefficients = rng.normal(size=sum(item.n_coefficients for item in sets))
+    coefficients = rng.normal(size=sum(shapelets.n_coefficients for shapelets in sets))
     x, y = grid.subpixel_coordinates(1)
     alpha = deflection(names, kwargs, x, y)
     sersic = {"R_sersic": 0.3, "n_sersic": 1.6, "center_x": -0.009, "center_y": 0.079}
@@ -100,12 +101,12 @@ def test_whole_mock_with_clumps_light_and_quasars(paper_lens: tuple[list[str], l
         PointSource(["LENSED_POSITION"]),
         kwargs_numerics={"supersampling_factor": 1},
     )
-    split = np.split(coefficients, np.cumsum([item.n_coefficients for item in sets])[:-1])
+    split = np.split(coefficients, np.cumsum([shapelets.n_coefficients for shapelets in sets])[:-1])
     area = grid.pixel_scale**2
     source = [
-        {"amp": amp / area, "n_max": item.n_max, "beta": item.beta, "center_x": item.center_x,
-         "center_y": item.center_y}
-        for item, amp in zip(sets, split, strict=True)
+        {"amp": amp / area, "n_max": shapelets.n_max, "beta": shapelets.beta, "center_x": shapelets.center_x,
+         "center_y": shapelets.center_y}
+        for shapelets, amp in zip(sets, split, strict=True)
     ]  # fmt: skip
     points = {
         "ra_image": np.array([float(qx) for qx, _ in positions]),

@@ -1,1 +1,1 @@
-"""Halo realizations: from the power spectrum to subhaloes on the sky."""
+"""Halo realizations: from the power spectrum to subhalos on the sky."""

@@ -1,4 +1,4 @@
-"""Collapse threshold of warm dark matter haloes."""
+"""Collapse threshold of warm dark matter halos."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _X_FLOOR = -10.0
 
 
 def jeans_mass(m_th_kev: float, cosmology: Cosmology) -> float:
-    """Effective Jeans mass of a spin-1/2 thermal relic at equality [Msun]; 0 for cold dark matter.
+    """Return the effective Jeans mass of a spin-1/2 thermal relic at equality [Msun]; 0 for cold dark matter.
 
     Reference: Barkana et al. 2001, eq. 10.
     """
@@ -23,19 +23,10 @@ def jeans_mass(m_th_kev: float, cosmology: Cosmology) -> float:
 
 
 def barrier_ratio(mass_msun: FloatArray, jeans_mass_msun: float) -> FloatArray:
-    """Threshold of collapse in units of that of cold dark matter at the same time.
+    """Return the threshold of collapse in units of that of cold dark matter at the same time, any shape.
 
-    Parameters
-    ----------
-    mass_msun
-        Halo mass [Msun], any shape, > 0.
-    jeans_mass_msun
-        Effective Jeans mass [Msun], see `jeans_mass`; 0 stands for cold dark matter, where the ratio is 1.
-
-    Notes
-    -----
-    Reference: Benson et al. 2013, eqs. 7-10, a fit to Barkana et al. 2001 (Birrer et al. 2017 cite the
-    equation numbers under Barkana et al.).
+    The ratio is 1 for a Jeans mass of 0, which stands for cold dark matter. Reference: Benson et al. 2013,
+    eqs. 7-10, a fit to Barkana et al. 2001 (Birrer et al. 2017 cite the equation numbers under Barkana et al.).
     """
     if not jeans_mass_msun >= 0.0:
         raise ValueError(f"jeans_mass_msun must be >= 0, got {jeans_mass_msun!r}")

@@ -1,4 +1,4 @@
-"""Concentrations of cold dark matter haloes, and their mapping to warm dark matter."""
+"""Concentrations of cold dark matter halos, and their mapping to warm dark matter."""
 
 from __future__ import annotations
 
@@ -18,14 +18,8 @@ _MAP_POINTS = 4096
 class ConcentrationRelation:
     """Power law c = amplitude (M/pivot)^mass_slope (1+z)^redshift_slope of cold dark matter (200c).
 
-    Attributes
-    ----------
-    amplitude, mass_slope, redshift_slope
-        A_c, B_c and C_c of Birrer et al. 2017, section 3.1.3.
-    pivot_msun
-        Pivot mass [Msun].
-    minimum
-        Smallest concentration; smaller values are raised to it.
+    The coefficients are A_c, B_c and C_c of Birrer et al. 2017, section 3.1.3; smaller concentrations are raised
+    to `minimum`.
     """
 
     amplitude: float = 5.22
@@ -36,11 +30,11 @@ class ConcentrationRelation:
 
     @classmethod
     def duffy08(cls, h: float, minimum: float) -> ConcentrationRelation:
-        """Relation of all haloes, 0 < z < 2 (Duffy et al. 2008, table 1, NFW, M200); pivot 2e12 Msun/h."""
+        """Return the relation of Duffy et al. 2008, table 1 (all halos, NFW, M200), for 0 < z < 2 and this h."""
         return cls(5.71, -0.084, -0.47, 2.0e12 / h, minimum)
 
     def __call__(self, mass_msun: FloatArray | float, z: FloatArray | float) -> FloatArray:
-        """Concentration of cold haloes of mass M200c [Msun] at redshift z; shapes broadcast."""
+        """Return the concentration of cold halos of mass M200c [Msun] at redshift z; shapes broadcast."""
         mass_term = (np.asarray(mass_msun) / self.pivot_msun) ** self.mass_slope
         redshift_term = (1.0 + np.asarray(z)) ** self.redshift_slope
         return np.maximum(self.amplitude * mass_term * redshift_term, self.minimum)
@@ -49,7 +43,7 @@ class ConcentrationRelation:
 def scatter_concentration(
     median: FloatArray, scatter_dex: float, minimum: float, rng: np.random.Generator
 ) -> FloatArray:
-    """Concentrations with log-normal scatter [dex] about the median, raised to the minimum.
+    """Draw concentrations with log-normal scatter [dex] about the median, raised to the minimum.
 
     Without scatter no random number is drawn.
     """
@@ -60,30 +54,23 @@ def scatter_concentration(
 
 @dataclass(frozen=True)
 class FormationHistory:
-    """Cold haloes by the variance that they gain between 5% of their mass and the whole.
+    """Cold halos by the variance that they gain between 5% of their mass and the whole.
 
-    Two haloes, whatever their dark matter, collapse at the same time if they gain the same variance:
+    Two halos of any dark matter collapse at the same time if they gain the same variance:
     w(z_c) = w(z) + sqrt(pi/2 [S(fM) - S(M)]), so that pi/2, z and any factor of the barrier cancel.
-
-    Attributes
-    ----------
-    ln_gain
-        ln[S(fM) - S(M)], ascending.
-    ln_mass
-        ln(M/Msun) of the cold halo, descending.
     """
 
-    ln_gain: FloatArray
-    ln_mass: FloatArray
+    ln_gain: FloatArray  # ln[S(fM) - S(M)], ascending
+    ln_mass: FloatArray  # ln(M/Msun) of the cold halo, descending
 
     @classmethod
-    def of_cold_haloes(cls, cold: SharpKVariance, mass_cap_msun: float) -> FormationHistory:
-        """Tabulate cold haloes up to the mass cap [Msun], which is the longest delay that is mapped."""
+    def of_cold_halos(cls, cold: SharpKVariance, mass_cap_msun: float) -> FormationHistory:
+        """Tabulate cold halos up to the mass cap [Msun], which is the longest delay that is mapped."""
         mass = np.geomspace(mass_cap_msun, _MAP_MIN_MSUN, _MAP_POINTS)
         return cls(np.log(variance_gain(cold, mass)), np.log(mass))
 
     def matching_mass(self, variance: SharpKVariance, mass_msun: FloatArray) -> FloatArray:
-        """Mass [Msun] of the cold halo that forms when a halo of mass M [Msun] of `variance` does.
+        """Return the mass [Msun] of the cold halo that forms when a halo of mass M [Msun] of `variance` does.
 
         Reference: Schneider 2015 (Birrer et al. 2017, section 3.1.3).
         """
@@ -93,5 +80,5 @@ class FormationHistory:
 
 
 def variance_gain(variance: SharpKVariance, mass_msun: FloatArray) -> FloatArray:
-    """S(fM) - S(M) with f = 0.05 for haloes of mass M [Msun]."""
+    """Return S(fM) - S(M) with f = 0.05 for halos of mass M [Msun]."""
     return variance.variance(COLLAPSED_FRACTION * mass_msun) - variance.variance(mass_msun)

@@ -1,4 +1,4 @@
-"""Models of dark matter: what sets them apart in the power spectrum and in the collapse of haloes."""
+"""Models of dark matter: their free-streaming break and their threshold of collapse."""
 
 from __future__ import annotations
 
@@ -22,10 +22,9 @@ TRANSFER_INDEX: dict[TransferFunction, float] = {"viel05": 1.12, "bode01": 1.2, 
 
 
 class DarkMatter(Hashable, Protocol):
-    """A model of dark matter, as far as haloes know it.
+    """What the halos need of a model of dark matter.
 
-    Equal models must compare equal and have the same hash: tables are kept by model. A frozen dataclass
-    does both.
+    Equal models must compare equal and have the same hash, as frozen dataclasses do: tables are cached by model.
     """
 
     @property
@@ -34,13 +33,13 @@ class DarkMatter(Hashable, Protocol):
 
     @property
     def resolution_msun(self) -> float:
-        """Smallest mass that merger trees need to follow [Msun]; 0 if there is none."""
+        """Smallest mass that merger trees need to follow [Msun]; 0 if halos have every mass."""
 
     def transfer(self, k_hmpc: FloatArray) -> FloatArray:
-        """Amplitude ratio sqrt(P / P_cold) at wave numbers [h/Mpc], any shape."""
+        """Return the amplitude ratio sqrt(P / P_cold) at wave numbers [h/Mpc], any shape."""
 
     def barrier_ratio(self, mass_msun: FloatArray) -> FloatArray:
-        """Threshold of collapse at mass [Msun], any shape, in units of that of cold dark matter."""
+        """Return the threshold of collapse at mass [Msun], any shape, in units of that of cold dark matter."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +53,15 @@ class ColdDarkMatter:
 
     @property
     def resolution_msun(self) -> float:
-        """0: there are haloes of every mass."""
+        """0: halos have every mass."""
         return 0.0
 
     def transfer(self, k_hmpc: FloatArray) -> FloatArray:
-        """1 at every wave number [h/Mpc]."""
+        """Return 1 at every wave number [h/Mpc]."""
         return np.ones_like(k_hmpc, dtype=np.float64)
 
     def barrier_ratio(self, mass_msun: FloatArray) -> FloatArray:
-        """1 at every mass [Msun]."""
+        """Return 1 at every mass [Msun]."""
         return np.ones_like(mass_msun, dtype=np.float64)
 
 
@@ -114,26 +113,26 @@ class ThermalRelic:
         return 0.0437 * self.m_th_kev**-1.188 * (omega_h2 / 0.12) ** 0.2463 * (h / 0.6736) ** 2.012
 
     def transfer(self, k_hmpc: FloatArray) -> FloatArray:
-        """Amplitude ratio sqrt(P / P_cold) at wave numbers [h/Mpc], any shape.
+        """Return the amplitude ratio sqrt(P / P_cold) at wave numbers [h/Mpc], any shape.
 
-        Reference: the form of Bode et al. 2001, eq. A8; Viel et al. 2005, eq. 6.
+        Reference: Bode et al. 2001, eq. A8; Viel et al. 2005, eq. 6.
         """
         nu = TRANSFER_INDEX[self.transfer_function]
-        return (1.0 + (self.alpha_mpch * k_hmpc) ** (2.0 * nu)) ** (-5.0 / nu)
+        return (1.0 + (self.alpha_mpch * k_hmpc) ** (2.0 * nu)) ** (-5.0 / nu)  # Viel et al. 2005, eq. 6
 
     def barrier_ratio(self, mass_msun: FloatArray) -> FloatArray:
-        """Threshold of collapse in units of that of cold dark matter, see `warmlens.halos.barrier`."""
+        """Return the threshold of collapse in units of that of cold dark matter, see `warmlens.halos.barrier`."""
         return barrier_ratio(mass_msun, self.resolution_msun)
 
     @property
     def half_mode_wavelength_mpch(self) -> float:
-        """Wave length [Mpc/h] at which the amplitude ratio is 1/2."""
+        """Wavelength [Mpc/h] at which the amplitude ratio is 1/2."""
         nu = TRANSFER_INDEX[self.transfer_function]
         return 2.0 * math.pi * self.alpha_mpch * (2.0 ** (nu / 5.0) - 1.0) ** (-1.0 / (2.0 * nu))
 
     @property
     def half_mode_mass_msun(self) -> float:
-        """Mean mass in a sphere whose diameter is the half-mode wave length [Msun]."""
+        """Mean mass in a sphere whose diameter is the half-mode wavelength [Msun]."""
         radius_mpc = 0.5 * self.half_mode_wavelength_mpch / self.cosmology.h
         return 4.0 * math.pi / 3.0 * self.cosmology.mean_density_msun_mpc3 * radius_mpc**3
 
@@ -141,7 +140,7 @@ class ThermalRelic:
 def dark_matter(
     m_th_kev: float, cosmology: Cosmology, transfer_function: TransferFunction = "viel05"
 ) -> DarkMatter:
-    """Return the thermal relic of mass m_th_kev [keV], or cold dark matter if that is inf."""
+    """Return the thermal relic of mass m_th_kev [keV], or cold dark matter if the mass is inf."""
     if m_th_kev == math.inf:
         return ColdDarkMatter()
     if not m_th_kev > 0.0:

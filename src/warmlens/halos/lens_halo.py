@@ -1,52 +1,25 @@
-"""One lens: a halo with its subhaloes, projected on the sky."""
+"""The halo of a lens: a whole halo with its subhalos, projected on the sky."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from warmlens.cosmology import Cosmology, LensGeometry
 from warmlens.halos.dark_matter import DarkMatter, dark_matter
-from warmlens.halos.merger_tree import MergerTree
 from warmlens.halos.model import HaloModel
-from warmlens.halos.population import MASS_BINS, VMAX_BINS, HaloPopulation, WholeHalo
+from warmlens.halos.population import MASS_BINS, VMAX_BINS, HaloPopulation, SubhaloStructure
 from warmlens.halos.positions import project_isotropically
-from warmlens.types import BoolArray, FloatArray, IntArray
+from warmlens.types import FloatArray, IntArray
 
 __all__ = ["MASS_BINS", "VMAX_BINS", "HaloGenerator", "HaloModel", "HaloRealization", "Subhalos"]
 
 
 @dataclass(frozen=True)
-class Subhalos:
-    """Subhaloes, one entry each in every array.
+class Subhalos(SubhaloStructure):
+    """Subhalos on the sky: structure, and position relative to the centre of the host [arcsec]."""
 
-    Attributes
-    ----------
-    m_bound, m_acc
-        Bound mass at the lens and M200c at infall [Msun].
-    z_acc
-        Redshift of infall.
-    concentration
-        R200c/r_s at infall.
-    r_max_kpc, v_max_kms
-        Peak of the circular velocity at the lens, after tidal stripping.
-    r_s_kpc, rho_s, r_t_kpc
-        Scale radius [kpc], scale density [Msun/kpc^3] and truncation radius [kpc] of the profile
-        rho_s / [x (1+x)^2] tau^2 / (tau^2 + x^2), x = r/r_s, tau = r_t/r_s, whose mass is m_bound.
-    x_arcsec, y_arcsec
-        Position on the sky relative to the centre of the host.
-    """
-
-    m_bound: FloatArray
-    m_acc: FloatArray
-    z_acc: FloatArray
-    concentration: FloatArray
-    r_max_kpc: FloatArray
-    v_max_kms: FloatArray
-    r_s_kpc: FloatArray
-    rho_s: FloatArray
-    r_t_kpc: FloatArray
     x_arcsec: FloatArray
     y_arcsec: FloatArray
 
@@ -58,9 +31,9 @@ class HaloRealization:
     Attributes
     ----------
     subhalos
-        Subhaloes inside the field |x|, |y| <= half_width_arcsec.
+        Subhalos inside the field |x|, |y| <= half_width_arcsec.
     n_accreted
-        Haloes accreted above the resolution; the sum of the next three.
+        Halos accreted above the resolution; the sum of the next three.
     n_friction, n_stripped_below, n_surviving
         Of these: lost to dynamical friction, stripped below min_mass_msun, and left (in the whole halo).
     f_sub
@@ -88,21 +61,12 @@ class HaloRealization:
 
 
 class HaloGenerator:
-    """Draws lens haloes with subhaloes; holds the tables that are the same for every sample.
-
-    Parameters
-    ----------
-    cosmology
-        Background and cold power spectrum.
-    geometry
-        Redshifts and distances of the lens; the tree is rooted at the lens.
-    model
-        Subhalo physics.
+    """Generator of the halos of a lens, whose trees are rooted at its redshift.
 
     Attributes
     ----------
     population
-        Whole haloes at the redshift of the lens, without projection.
+        Whole halos at the redshift of the lens, without projection.
     """
 
     def __init__(self, cosmology: Cosmology, geometry: LensGeometry, model: HaloModel) -> None:
@@ -112,12 +76,8 @@ class HaloGenerator:
         self.population = HaloPopulation(cosmology, geometry.z_lens, model)
 
     def dark_matter(self, m_th_kev: float) -> DarkMatter:
-        """Thermal relic of the given mass [keV] with the model's transfer function; inf is cold."""
+        """Return the thermal relic of the given mass [keV] with the model's transfer function; inf is cold."""
         return dark_matter(m_th_kev, self.cosmology, self.model.transfer_function)
-
-    def tree(self, m_th_kev: float, m_halo_msun: float, rng: np.random.Generator) -> MergerTree:
-        """Draw the merger tree alone; parameters as in `draw`."""
-        return self.population.tree(self.dark_matter(m_th_kev), m_halo_msun, rng)
 
     def draw(
         self, m_th_kev: float, m_halo_msun: float, half_width_arcsec: float, rng: np.random.Generator
@@ -131,18 +91,12 @@ class HaloGenerator:
         m_halo_msun
             M200c of the host at the redshift of the lens [Msun]; more than twice the resolution.
         half_width_arcsec
-            Half the side of the square field whose subhaloes are kept [arcsec].
-        rng
-            Source of every random number.
+            Half the side of the square field whose subhalos are kept [arcsec].
         """
         return self.draw_model(self.dark_matter(m_th_kev), m_halo_msun, half_width_arcsec, rng)
 
     def draw_model(
-        self,
-        dark_matter: DarkMatter,
-        m_halo_msun: float,
-        half_width_arcsec: float,
-        rng: np.random.Generator,
+        self, dark_matter: DarkMatter, m_halo_msun: float, half_width_arcsec: float, rng: np.random.Generator
     ) -> HaloRealization:
         """Draw one halo of any dark matter; the other parameters are those of `draw`."""
         if not half_width_arcsec > 0.0:
@@ -150,8 +104,9 @@ class HaloGenerator:
         halo = self.population.draw(dark_matter, m_halo_msun, rng)
         x, y = project_isotropically(halo.radius_kpc / self.geometry.kpc_per_arcsec, rng)
         inside = np.maximum(np.abs(x), np.abs(y)) <= half_width_arcsec
+        structure = {field.name: getattr(halo, field.name)[inside] for field in fields(SubhaloStructure)}
         return HaloRealization(
-            subhalos=_select(halo, x, y, inside),
+            subhalos=Subhalos(**structure, x_arcsec=x[inside], y_arcsec=y[inside]),
             n_accreted=halo.n_accreted,
             n_friction=halo.n_friction,
             n_stripped_below=halo.n_stripped_below,
@@ -162,19 +117,3 @@ class HaloGenerator:
             tree_steps=halo.tree_steps,
             z_half=halo.z_half,
         )
-
-
-def _select(halo: WholeHalo, x_arcsec: FloatArray, y_arcsec: FloatArray, inside: BoolArray) -> Subhalos:
-    return Subhalos(
-        m_bound=halo.m_bound[inside],
-        m_acc=halo.m_acc[inside],
-        z_acc=halo.z_acc[inside],
-        concentration=halo.concentration[inside],
-        r_max_kpc=halo.r_max_kpc[inside],
-        v_max_kms=halo.v_max_kms[inside],
-        r_s_kpc=halo.r_s_kpc[inside],
-        rho_s=halo.rho_s[inside],
-        r_t_kpc=halo.r_t_kpc[inside],
-        x_arcsec=x_arcsec[inside],
-        y_arcsec=y_arcsec[inside],
-    )

@@ -1,4 +1,4 @@
-"""Merger trees: a halo followed into the past, along its trunk or along every branch."""
+"""Merger trees: a halo followed into the past along its trunk."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ import numpy as np
 from numba import njit
 
 from warmlens.halos.power_spectrum import SharpKVariance
-from warmlens.halos.tree_walk import walk_all, walk_branch
-from warmlens.types import FloatArray, IntArray
+from warmlens.halos.tree_walk import walk_branch
+from warmlens.types import FloatArray
 
 Branching = tuple[float, float, float, float]
 
@@ -35,17 +35,15 @@ _FLAT = 1.0e-10  # relative gain of variance below which a halo has no progenito
 class BranchingTable:
     """Rates of branching and smooth accretion for parents on a grid of mass.
 
-    Row i belongs to the parent of mass 2 M_res exp(i step); the factor (delta_2/sigma_2)^gamma_2, which
-    depends on time, is left out of both rates.
+    Row i belongs to the parent of mass 2 M_res exp(i step). Both rates lack the factor (delta_2/sigma_2)^gamma_2,
+    which depends on time.
 
     Attributes
     ----------
-    ln_resolution
-        ln(M_res/Msun).
-    step
-        Spacing of the rows in ln M.
+    ln_resolution, step
+        ln(M_res/Msun), and spacing of the rows in ln M.
     first_row
-        First row whose parent has progenitors: lighter ones collapse monolithically.
+        First row whose parent has progenitors; lighter parents collapse monolithically.
     cumulative
         [i, n]: branchings of parent i into progenitors between M_res and M_res exp(n step), n <= i, per
         unit of omega.
@@ -57,8 +55,6 @@ class BranchingTable:
         Linear rms at the parent's mass.
     barrier
         Threshold in units of w(z), and omega per unit of w.
-    gamma2
-        Exponent gamma_2.
     """
 
     ln_resolution: float
@@ -74,19 +70,19 @@ class BranchingTable:
 
 @dataclass(frozen=True)
 class MergerTree:
-    """History of a trunk and the haloes that it accreted directly.
+    """History of a trunk and the halos that it accreted directly.
 
     Attributes
     ----------
     trunk_clock, trunk_mass_msun
-        Collapse clock w (ascending) and mass of the trunk; what lies between varies by < 0.05%.
+        Collapse clock w (ascending) and mass of the trunk; between entries the mass varies by < 0.05%.
     m_acc_msun, host_mass_msun, clock_acc
         Of each accreted halo: its mass, the mass of the trunk just before, and w of the accretion.
     smooth_mass_msun
-        Mass that the trunk accreted below the resolution: with the accreted haloes and the last mass of the
-        trunk it makes up the root, to rounding.
+        Mass that the trunk accreted below the resolution. Together with the accreted halos and the last mass of
+        the trunk it is the mass of the root, to rounding.
     steps
-        Number of steps taken.
+        Number of steps.
     """
 
     trunk_clock: FloatArray
@@ -104,41 +100,13 @@ class MergerTree:
         return float(np.interp(-half, -np.log(self.trunk_mass_msun), self.trunk_clock))
 
 
-@dataclass(frozen=True)
-class AllOrderTree:
-    """A halo with every branch above the resolution, one entry each; entry 0 is the root.
-
-    Attributes
-    ----------
-    m_acc_msun, clock_acc
-        Mass and collapse clock w of the accretion; of the root, where the tree starts.
-    host_mass_msun
-        Mass of the parent branch just before the accretion (further back in time); nan for the root.
-    m_end_msun
-        Mass at the earliest time, or where the branch could not branch any more.
-    smooth_mass_msun
-        Mass that the branch accreted below the resolution.
-    order, parent
-        Order (1: accreted by the trunk) and entry of the branch that accreted it; 0 and -1 for the root.
-        Parents come before their branches.
-    """
-
-    m_acc_msun: FloatArray
-    host_mass_msun: FloatArray
-    clock_acc: FloatArray
-    m_end_msun: FloatArray
-    smooth_mass_msun: FloatArray
-    order: IntArray
-    parent: IntArray
-
-
 def smooth_integral(u: FloatArray, gamma1: float, gamma3: float) -> FloatArray:
-    """J(u) = int_0^u (1 + 1/v^2)^(gamma1/2) (1 + v^2)^-gamma3 dv, any shape, for gamma1 < 1.
+    """Return J(u) = int_0^u (1 + 1/v^2)^(gamma1/2) (1 + v^2)^-gamma3 dv, any shape, for gamma1 < 1.
 
     With v = sigma2/sqrt(S1 - S2) the factors are those of the branching rate: 1 + 1/v^2 = S1/S2 and
     1 + v^2 = 1/(1 - S2/S1). Reference: Parkinson, Cole & Helly 2008, appendix A, where gamma3 = 0.
     """
-    from scipy.special import hyp2f1
+    from scipy.special import hyp2f1  # slow to import
 
     half = 0.5 * (1.0 - gamma1)
     return u ** (1.0 - gamma1) / (1.0 - gamma1) * hyp2f1(gamma3 - 0.5 * gamma1, half, half + 1.0, -(u**2))
@@ -156,8 +124,6 @@ def branching_table(
 
     Parameters
     ----------
-    variance
-        S(M) of the dark matter.
     root_mass_msun, resolution_msun
         Mass of the root and smallest mass that is followed [Msun].
     branching
@@ -170,8 +136,8 @@ def branching_table(
     Notes
     -----
     The rate dN/dq = sqrt(2/pi) S1/(S1-S2)^1.5 alpha(M1) q^-2 G0 (sigma1/sigma2)^gamma1 (1-S2/S1)^gamma3 is
-    integrated as it is, so the table is exact for any S(M), also one that flattens, and no branching is
-    rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
+    integrated without approximating S(M). The table therefore holds for any S(M), also one that flattens, and no
+    branching is rejected. References: Parkinson, Cole & Helly 2008, eqs. 3-5; Benson et al. 2021 for gamma3.
     """
     if not root_mass_msun > 2.0 * resolution_msun > 0.0:
         raise ValueError(
@@ -196,9 +162,7 @@ def branching_table(
     smooth, max_step = np.zeros(_ROWS), np.zeros(_ROWS)
     used = slice(first_row, None)
     u_res = sigma[used] / np.sqrt(s_res - s_parent[used])
-    smooth[used] = (
-        norm * smooth_integral(u_res, gamma1, gamma3) / sigma[used]
-    )  # PCH08 appendix A, per unit of omega
+    smooth[used] = norm * smooth_integral(u_res, gamma1, gamma3) / sigma[used]  # PCH08, appendix A
     max_step[used] = _STEP_BARRIER * np.sqrt(2.0 * (s_half[used] - s_parent[used]))
     barrier = barrier_factor * barrier_ratio(parent)
     return BranchingTable(
@@ -207,24 +171,14 @@ def branching_table(
 
 
 def grow_tree(table: BranchingTable, clock_root: float, clock_end: float, rng: np.random.Generator) -> MergerTree:
-    """Follow the trunk from the root into the past and collect what it accreted.
+    """Follow the trunk from the root into the past and collect the halos that it accreted.
 
-    Parameters
-    ----------
-    table
-        Rates, see `branching_table`.
-    clock_root, clock_end
-        Collapse clock w at the root and at the earliest time that is followed.
-    rng
-        Random numbers.
-
-    Notes
-    -----
-    At a branching the heavier progenitor continues the trunk, the lighter one is a subhalo. The trunk
-    ends at clock_end or where it cannot branch any more (2 M_res, or monolithic collapse).
+    The clocks are the collapse clock w at the root and at the earliest time that is followed. At a branching the
+    heavier progenitor continues the trunk, the lighter one is a subhalo. The trunk ends at clock_end or where it
+    cannot branch any more (2 M_res, or monolithic collapse).
     """
     trunk, accreted, smooth_mass, steps = walk_branch(
-        rng, clock_root, clock_end, _ln_root(table), False, _arguments(table)
+        rng, clock_root, clock_end, ln_root_mass(table), False, kernel_arguments(table)
     )
     return MergerTree(
         trunk_clock=trunk[0].copy(),
@@ -237,32 +191,19 @@ def grow_tree(table: BranchingTable, clock_root: float, clock_end: float, rng: n
     )
 
 
-def grow_all_orders(
-    table: BranchingTable, clock_root: float, clock_end: float, rng: np.random.Generator
-) -> AllOrderTree:
-    """Follow every branch above the resolution; parameters as in `grow_tree`.
-
-    Notes
-    -----
-    Branches are walked as the trunk is, but end at clock_end itself, so that `AllOrderTree.m_end_msun` above
-    twice the resolution are the progenitors at that time. A branch lighter than that has none of its own.
-    """
-    values, links = walk_all(rng, clock_root, clock_end, _ln_root(table), _arguments(table))
-    return AllOrderTree(*(row.copy() for row in values), *(row.copy() for row in links))
-
-
-def _ln_root(table: BranchingTable) -> float:
+def ln_root_mass(table: BranchingTable) -> float:
+    """Return ln(M/Msun) of the root, the parent of the last row."""
     return table.ln_resolution + math.log(2.0) + table.step * (table.smooth.size - 1)
 
 
-def _arguments(table: BranchingTable) -> tuple[float | FloatArray, ...]:
-    """Fields of a table in the order in which the kernels take them."""
+def kernel_arguments(table: BranchingTable) -> tuple[float | FloatArray, ...]:
+    """Return the fields of a table in the order in which `walk_branch` takes them."""
     return tuple(vars(table).values())
 
 
 @njit(cache=True)
 def _accumulate(weight, s_progenitor, s_parent, factor, gamma3, first_row, step):  # type: ignore[no-untyped-def]
-    """Trapezoid sums over ln M1 of factor * weight / (S1 - S2)^1.5 * (1 - S2/S1)^gamma3, one row a parent."""
+    """Sum over ln M1, by trapezoids, factor * weight / (S1 - S2)^1.5 * (1 - S2/S1)^gamma3, one row per parent."""
     rows = weight.size
     cumulative = np.zeros((rows, rows))
     for i in range(first_row, rows):

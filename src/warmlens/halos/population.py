@@ -1,4 +1,4 @@
-"""A whole halo: the tree, what became of every subhalo, and the structure of those that are left."""
+"""The population of subhalos in a whole halo: its tree, which subhalos survive, and the structure of these."""
 
 from __future__ import annotations
 
@@ -24,34 +24,51 @@ VMAX_BINS: FloatArray = np.geomspace(1.0, 1000.0, 61)  # v_max [km/s]
 MASS_BINS.flags.writeable = False
 VMAX_BINS.flags.writeable = False
 
-_MODELS_KEPT = 8  # dark-matter models whose variance is remembered
+_MODELS_CACHED = 8  # dark-matter models whose variance is kept
 
 
 @dataclass(frozen=True)
-class WholeHalo:
-    """One halo with all its surviving subhaloes, one entry each in every array.
+class SubhaloStructure:
+    """Masses and profiles of subhalos, one entry each in every array.
+
+    Attributes
+    ----------
+    m_bound, m_acc
+        Bound mass when observed and M200c at infall [Msun].
+    z_acc
+        Redshift of infall.
+    concentration
+        R200c/r_s at infall.
+    r_max_kpc, v_max_kms
+        Peak of the circular velocity when observed, after tidal stripping.
+    r_s_kpc, rho_s, r_t_kpc
+        Scale radius [kpc], scale density [Msun/kpc^3] and truncation radius [kpc] of the profile
+        rho_s / [x (1+x)^2] tau^2 / (tau^2 + x^2), x = r/r_s, tau = r_t/r_s, whose mass is m_bound.
+    """
+
+    m_bound: FloatArray
+    m_acc: FloatArray
+    z_acc: FloatArray
+    concentration: FloatArray
+    r_max_kpc: FloatArray
+    v_max_kms: FloatArray
+    r_s_kpc: FloatArray
+    rho_s: FloatArray
+    r_t_kpc: FloatArray
+
+
+@dataclass(frozen=True)
+class WholeHalo(SubhaloStructure):
+    """One halo with all its surviving subhalos.
 
     Attributes
     ----------
     m_halo_msun, z_root
-        M200c of the host [Msun] and the redshift at which it has that mass and subhaloes are observed.
-    m_bound, m_acc
-        Bound mass at z_root and M200c at infall [Msun].
-    z_acc
-        Redshift of infall.
-    circularity
-        Of the orbit at infall.
-    concentration
-        R200c/r_s at infall.
-    r_max_kpc, v_max_kms
-        Peak of the circular velocity at z_root, after tidal stripping.
-    r_s_kpc, rho_s, r_t_kpc
-        Scale radius [kpc], scale density [Msun/kpc^3] and truncation radius [kpc] of the profile
-        rho_s / [x (1+x)^2] tau^2 / (tau^2 + x^2), x = r/r_s, tau = r_t/r_s, whose mass is m_bound.
-    radius_kpc
-        Distance from the centre of the host.
+        M200c of the host [Msun] and the redshift at which it has that mass and subhalos are observed.
+    circularity, radius_kpc
+        Of each subhalo: that of its orbit at infall, and its distance from the centre of the host.
     n_accreted
-        Haloes accreted above the resolution: lost to dynamical friction, stripped or surviving.
+        Halos accreted above the resolution: lost to dynamical friction, stripped or surviving.
     n_friction, n_stripped_below
         Of these: lost to dynamical friction, and stripped below min_mass_msun.
     tree_steps
@@ -62,16 +79,7 @@ class WholeHalo:
 
     m_halo_msun: float
     z_root: float
-    m_bound: FloatArray
-    m_acc: FloatArray
-    z_acc: FloatArray
     circularity: FloatArray
-    concentration: FloatArray
-    r_max_kpc: FloatArray
-    v_max_kms: FloatArray
-    r_s_kpc: FloatArray
-    rho_s: FloatArray
-    r_t_kpc: FloatArray
     radius_kpc: FloatArray
     n_accreted: int
     n_friction: int
@@ -81,7 +89,7 @@ class WholeHalo:
 
     @property
     def n_surviving(self) -> int:
-        """Number of subhaloes left."""
+        """Number of subhalos left."""
         return self.m_bound.size
 
     @property
@@ -101,14 +109,14 @@ class WholeHalo:
 
 
 class HaloPopulation:
-    """Draws whole haloes at one redshift; holds the tables that are the same for every halo.
+    """Generator of whole halos at one redshift; its tables are computed once.
 
     Parameters
     ----------
     cosmology
         Background and cold power spectrum.
     z_root
-        Redshift at which hosts have their mass and subhaloes are observed; 0 <= z_root < model.z_max.
+        Redshift at which hosts have their mass and subhalos are observed; 0 <= z_root < model.z_max.
     model
         Subhalo physics.
     """
@@ -121,16 +129,16 @@ class HaloPopulation:
         self.model = model
         self.cold_concentration = _cold_concentration(model, cosmology)
         self._spectrum = cdm_power(cosmology)
-        self._variances = lru_cache(_MODELS_KEPT)(self._tabulate_variance)
+        self._variances = lru_cache(_MODELS_CACHED)(self._tabulate_variance)
         cold = self.variance(ColdDarkMatter())
-        self._formation = FormationHistory.of_cold_haloes(cold, model.formation_mass_cap_msun)
+        self._formation = FormationHistory.of_cold_halos(cold, model.formation_mass_cap_msun)
 
     def variance(self, dark_matter: DarkMatter) -> SharpKVariance:
-        """Variance S(M) of the dark matter; kept for the models used last."""
+        """Return the variance S(M) of the dark matter, cached for the models used last."""
         return self._variances(dark_matter)
 
     def resolution_msun(self, dark_matter: DarkMatter) -> float:
-        """Smallest mass [Msun] that trees follow: that of the dark matter, or the floor min_mass_msun."""
+        """Return the smallest mass [Msun] that trees follow: that of the dark matter, or min_mass_msun."""
         resolution = dark_matter.resolution_msun
         if not 0.0 <= resolution < math.inf:
             raise ValueError(f"resolution_msun of {dark_matter.label} must be finite and >= 0, got {resolution!r}")
@@ -156,17 +164,7 @@ class HaloPopulation:
         return grow_tree(table, float(clock(self.z_root)), float(clock(model.z_max)), rng)
 
     def draw(self, dark_matter: DarkMatter, m_halo_msun: float, rng: np.random.Generator) -> WholeHalo:
-        """Draw one halo.
-
-        Parameters
-        ----------
-        dark_matter
-            Model of the dark matter, see `warmlens.halos.dark_matter`.
-        m_halo_msun
-            M200c of the host at z_root [Msun]; more than twice the resolution.
-        rng
-            Source of every random number.
-        """
+        """Draw one halo of mass M200c at z_root [Msun], which must exceed twice the resolution."""
         model = self.model
         tree = self.tree(dark_matter, m_halo_msun, rng)
         ln_a = -np.log1p(self.cosmology.clock_to_redshift(tree.clock_acc))
@@ -212,7 +210,7 @@ class HaloPopulation:
     def _evolve(
         self, tree: MergerTree, ln_a_acc: FloatArray, circularity: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Bound masses at z_root [Msun], and which subhaloes dynamical friction has removed."""
+        """Return bound masses at z_root [Msun], and which subhalos dynamical friction has removed."""
         model = self.model
         ln_a_sunk = friction_ln_a(
             ln_a_acc,
@@ -241,7 +239,7 @@ class HaloPopulation:
         circularity: FloatArray,
         rng: np.random.Generator,
     ) -> FloatArray:
-        """Distances [kpc] from the centre of the subhaloes that are left."""
+        """Draw the distances [kpc] from the centre of the subhalos that are left."""
         if self.model.positions == "nfw_host":
             host_mass = np.full(z_acc.size, tree.trunk_mass_msun[0])
             host_z = np.full(z_acc.size, self.z_root)

@@ -1,4 +1,4 @@
-"""Where subhaloes lie in their host, and on the sky."""
+"""Where subhalos lie in their host, and on the sky."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _ORBIT_BISECTIONS = 60
 
 
 def nfw_inverse_mass(mass: FloatArray) -> FloatArray:
-    """x = r/r_s within which an NFW profile holds the mass [4 pi rho_s r_s^3]; inverse of `nfw_mass`."""
-    from scipy.special import lambertw
+    """Return x = r/r_s within which an NFW profile holds the mass [4 pi rho_s r_s^3]; inverse of `nfw_mass`."""
+    from scipy.special import lambertw  # slow to import
 
     argument: FloatArray = -np.exp(-1.0 - mass)
     return -1.0 - 1.0 / lambertw(argument, 0).real
@@ -36,16 +36,9 @@ def draw_nfw_radii(
     count: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Radii [kpc] of `count` points that follow the mass of NFW hosts within R200c.
+    """Draw radii [kpc] of `count` points that follow the mass of NFW hosts within R200c.
 
-    Parameters
-    ----------
-    radius_kpc, concentration
-        R200c [kpc] and concentration of the host, one for all points or one a point.
-    count
-        Number of points.
-    rng
-        Random numbers.
+    `radius_kpc` is R200c; it and the concentration are those of one host for all points, or of one per point.
     """
     enclosed = rng.random(count) * nfw_mass(concentration)
     return np.asarray(radius_kpc) * nfw_inverse_mass(enclosed) / concentration
@@ -57,23 +50,21 @@ def draw_orbit_radii(
     circularity: FloatArray,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Radii [kpc] at random times of orbits in static NFW hosts.
+    """Draw radii [kpc] at random times of orbits in static NFW hosts.
 
     Parameters
     ----------
     radius_kpc, concentration
-        R200c [kpc] and concentration of the host, one for all orbits or one an orbit.
+        R200c [kpc] and concentration of the host, one for all orbits or one per orbit.
     circularity
         Angular momentum of each orbit in units of that of the circular orbit of the same energy.
-    rng
-        Random numbers.
 
     Notes
     -----
-    Every orbit has the energy of the circular orbit at R200c (Birrer et al. 2017, section 3.1.4, where the
-    circularity alone sets orbits apart), so radii can exceed R200c. The time-averaged distribution is
-    interpolated between tabulated concentrations, circularities and fractions of the time; the error of a
-    radius is below 0.05% of R200c.
+    Every orbit has the energy of the circular orbit at R200c (Birrer et al. 2017, section 3.1.4, where orbits
+    differ in their circularity alone), so radii can exceed R200c. The time-averaged distribution is interpolated
+    between tabulated concentrations, circularities and fractions of the time; the error of a radius is below
+    0.05% of R200c.
     """
     table = _orbit_table()
     c = np.clip(
@@ -90,26 +81,20 @@ def draw_orbit_radii(
 
 @dataclass(frozen=True)
 class NfwOrbits:
-    """Orbits with the energy of the circular one at R200c; radii in R200c, velocities in V200c.
+    """Orbits with the energy of the circular one at R200c; radii in R200c, velocities in V200c."""
 
-    Attributes
-    ----------
-    concentration, circularity
-        Of host and orbit; arrays that broadcast.
-    """
-
-    concentration: FloatArray
+    concentration: FloatArray  # of the host; broadcasts with the circularity of the orbit
     circularity: FloatArray
 
     def radial_velocity_squared(self, r: FloatArray) -> FloatArray:
-        """Square of v_r at r; negative where the orbit does not go."""
+        """Return the square of v_r at r; negative where the orbit does not go."""
         c = self.concentration
         potential = -np.log1p(c * r) / (nfw_mass(c) * r)
         energy = 0.5 - np.log1p(c) / nfw_mass(c)
         return 2.0 * (energy - potential) - (self.circularity / r) ** 2
 
     def turning_points(self) -> tuple[FloatArray, FloatArray]:
-        """Pericentre and apocentre, by bisection from R200c inwards and outwards."""
+        """Find pericentre and apocentre by bisection from R200c inwards and outwards."""
         shape = np.broadcast_shapes(np.shape(self.concentration), np.shape(self.circularity))
         points = []
         for beyond in (0.0, _ORBIT_REACH):
@@ -124,7 +109,7 @@ class NfwOrbits:
 
 @cache
 def _orbit_table() -> FloatArray:
-    """r/R200c, even in ln(concentration), arcsin(circularity) and root of the share of time spent closer."""
+    """Tabulate r/R200c in ln(concentration), arcsin(circularity) and root of the share of time spent closer."""
     concentration = np.geomspace(ORBIT_CONCENTRATION_MIN, ORBIT_CONCENTRATION_MAX, _ORBIT_CONCENTRATIONS)
     circularity = np.sin(np.linspace(0.0, 0.5 * math.pi, _ORBIT_CIRCULARITIES)[:-1])  # the last one is r = 1
     hosts = NfwOrbits(concentration[:, None], circularity)
@@ -145,7 +130,7 @@ def _orbit_table() -> FloatArray:
 
 
 def _interpolate(table: FloatArray, shares: tuple[FloatArray, ...]) -> FloatArray:
-    """Multilinear interpolation; shares in [0, 1] are the positions along each axis."""
+    """Interpolate linearly in every axis; shares in [0, 1] are the positions along each."""
     low, weight = [], []
     for share, size in zip(shares, table.shape, strict=True):
         position = share * (size - 1)
@@ -160,7 +145,7 @@ def _interpolate(table: FloatArray, shares: tuple[FloatArray, ...]) -> FloatArra
 
 
 def project_isotropically(radii: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Two Cartesian coordinates of points at the given radii in isotropic directions, in the same unit."""
+    """Draw isotropic directions; return two Cartesian coordinates of points at the radii, in the same unit."""
     cos_theta = rng.uniform(-1.0, 1.0, radii.size)
     phi = rng.uniform(0.0, 2.0 * math.pi, radii.size)
     projected = radii * np.sqrt(1.0 - cos_theta**2)

@@ -18,15 +18,7 @@ _K_POINTS = 8192
 
 @dataclass(frozen=True)
 class LinearPower:
-    """Power spectrum of cold dark matter at z = 0.
-
-    Attributes
-    ----------
-    k_hmpc
-        Wave numbers [h/Mpc], ascending and equally spaced in ln k.
-    power
-        P(k) [(Mpc/h)^3].
-    """
+    """Power spectrum of cold dark matter at z = 0: P(k) [(Mpc/h)^3] at k [h/Mpc], equally spaced in ln k."""
 
     k_hmpc: FloatArray
     power: FloatArray
@@ -43,55 +35,33 @@ class LinearPower:
 
 
 def cdm_power(cosmology: Cosmology) -> LinearPower:
-    """Cold power spectrum, normalised to sigma8 in top-hat spheres of 8 Mpc/h.
+    """Return the cold power spectrum, normalised to sigma8 in top-hat spheres of 8 Mpc/h.
 
     Reference: Eisenstein & Hu 1998, eqs. 26 and 28-31 (without acoustic wiggles), as coded in colossus.
     """
-    from colossus.cosmology.power_spectrum import modelEisenstein98ZeroBaryon
+    from colossus.cosmology.power_spectrum import modelEisenstein98ZeroBaryon  # slow to import
 
     k = np.geomspace(_K_MIN_HMPC, _K_MAX_HMPC, _K_POINTS)
     transfer = modelEisenstein98ZeroBaryon(k, cosmology.h, cosmology.Om0, cosmology.Ob0, cosmology.Tcmb0)
     raw = LinearPower(k, k**cosmology.ns * transfer**2)
-    raw_sigma8 = float(_top_hat_sigma(raw, np.array([8.0]))[0])
+    raw_sigma8 = float(top_hat_sigma(raw, np.array([8.0]))[0])
     return LinearPower(k, raw.power * (cosmology.sigma8 / raw_sigma8) ** 2)
-
-
-def top_hat_sigma(mass_msun: FloatArray, spectrum: LinearPower, cosmology: Cosmology) -> FloatArray:
-    """Linear rms at z = 0 of cold dark matter in top-hat spheres of mean mass M [Msun], any shape."""
-    mass = np.asarray(mass_msun, dtype=np.float64)
-    radius_mpch = lagrangian_radius(mass, cosmology) * cosmology.h
-    return _top_hat_sigma(spectrum, radius_mpch.ravel()).reshape(mass.shape)
-
-
-def lagrangian_radius(mass_msun: FloatArray, cosmology: Cosmology) -> FloatArray:
-    """Comoving radius [Mpc] of the sphere of mean density that holds mass M [Msun]."""
-    return np.cbrt(3.0 * mass_msun / (4.0 * math.pi * cosmology.mean_density_msun_mpc3))
 
 
 @dataclass(frozen=True)
 class SharpKVariance:
-    """Variance S(M) of the linear density field at z = 0, sharp-k filtered, as a table in ln M.
+    """Variance S(M) of the linear density field at z = 0, sharp-k filtered, as a table in ln(M/Msun)."""
 
-    Attributes
-    ----------
-    ln_mass
-        ln(M/Msun), ascending and equally spaced.
-    ln_variance
-        ln S.
-    slope
-        -dln(sigma)/dlnM.
-    """
-
-    ln_mass: FloatArray
+    ln_mass: FloatArray  # ascending and equally spaced
     ln_variance: FloatArray
-    slope: FloatArray
+    slope: FloatArray  # -dln(sigma)/dlnM
 
     def variance(self, mass_msun: FloatArray) -> FloatArray:
-        """S(M) = sigma^2(M), any shape."""
+        """Return S(M) = sigma^2(M), any shape."""
         return np.exp(np.interp(np.log(mass_msun), self.ln_mass, self.ln_variance))
 
     def log_slope(self, mass_msun: FloatArray) -> FloatArray:
-        """Logarithmic slope alpha(M) = -dln(sigma)/dlnM, any shape."""
+        """Return the logarithmic slope alpha(M) = -dln(sigma)/dlnM, any shape."""
         return np.interp(np.log(mass_msun), self.ln_mass, self.slope)
 
 
@@ -105,16 +75,14 @@ def filtered_variance(
     transfer
         Amplitude ratio to cold dark matter as a function of k [h/Mpc].
     spectrum
-        Cold power spectrum. Its normalisation is kept for every dark matter.
-    cosmology
-        Background.
+        Cold power spectrum; its normalisation is kept for every dark matter.
     sharp_k_a
         Ratio a between k_s and 1/R.
 
     Notes
     -----
-    The masses are those of the wave numbers of `spectrum`, so that the table is the running integral
-    itself; its spacing leaves errors below 1e-5. Reference: Benson et al. 2013.
+    The masses are those of the wave numbers of `spectrum`, so the table is the running integral itself; its
+    spacing leaves errors below 1e-5. Reference: Benson et al. 2013.
     """
     ratio = transfer(spectrum.k_hmpc)
     density = spectrum.dimensionless * ratio**2  # dS/dlnk
@@ -127,7 +95,8 @@ def filtered_variance(
     return SharpKVariance(np.log(mass[::-1]), np.log(variance[::-1]), slope[::-1].copy())
 
 
-def _top_hat_sigma(spectrum: LinearPower, radius_mpch: FloatArray) -> FloatArray:
+def top_hat_sigma(spectrum: LinearPower, radius_mpch: FloatArray) -> FloatArray:
+    """Return the linear rms [n] at z = 0 of cold dark matter in spheres of comoving radius [Mpc/h], [n]."""
     x = radius_mpch[:, None] * spectrum.k_hmpc
     window = 3.0 * (np.sin(x) - x * np.cos(x)) / x**3
     small = x < 1.0e-2  # the difference cancels there

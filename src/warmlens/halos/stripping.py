@@ -1,4 +1,4 @@
-"""How subhaloes lose mass: tidal stripping and dynamical friction."""
+"""How subhalos lose mass: tidal stripping and dynamical friction."""
 
 from __future__ import annotations
 
@@ -19,19 +19,11 @@ _INTEGRAL_POINTS = 512
 
 
 def loss_per_efold(z: FloatArray, amplitude: float, tau_dyn: DynamicalTime, cosmology: Cosmology) -> FloatArray:
-    """Loss coefficient K = A / (tau_dyn H) per e-fold of expansion, any shape.
+    """Return the loss coefficient K = A / (tau_dyn H) per e-fold of expansion, any shape.
 
-    Parameters
-    ----------
-    z
-        Redshift.
-    amplitude
-        A_ts of dm/dt = -A_ts (m/tau_dyn) (m/M)^zeta.
-    tau_dyn
-        "paper": 0.1/H (Birrer et al. 2017). "jvdb16": (pi/sqrt 2) Delta_vir^(-1/2)/H, for which A_ts was
-        calibrated (Jiang & van den Bosch 2016, eq. 2).
-    cosmology
-        Background.
+    The amplitude is A_ts of dm/dt = -A_ts (m/tau_dyn) (m/M)^zeta. The dynamical time is 0.1/H for "paper"
+    (Birrer et al. 2017) and (pi/sqrt 2) Delta_vir^(-1/2)/H for "jvdb16", for which A_ts was calibrated (Jiang &
+    van den Bosch 2016, eq. 2).
     """
     if tau_dyn == "paper":
         return np.full(np.shape(z), amplitude * DYNAMICAL_TIMES_PER_EFOLD)
@@ -42,21 +34,11 @@ def loss_per_efold(z: FloatArray, amplitude: float, tau_dyn: DynamicalTime, cosm
 
 @dataclass(frozen=True)
 class TidalField:
-    """Running integral of K M^-slope over ln a in a host that grows.
+    """Running integral of K M^-zeta over ln a in a host that grows."""
 
-    Attributes
-    ----------
-    ln_a
-        Log of the scale factor, ascending.
-    integral
-        Integral from the first to each ln a [Msun^-slope].
-    slope
-        zeta of the loss rate.
-    """
-
-    ln_a: FloatArray
-    integral: FloatArray
-    slope: float
+    ln_a: FloatArray  # ascending
+    integral: FloatArray  # from the first to each ln a [Msun^-zeta]
+    slope: float  # zeta of the loss rate
 
     @classmethod
     def of_host(
@@ -78,10 +60,8 @@ class TidalField:
         return cls(grid, np.concatenate(([0.0], np.cumsum(steps))), slope)
 
     def bound_mass(self, m_acc_msun: FloatArray, ln_a_acc: FloatArray) -> FloatArray:
-        """Mass left at the last ln a of subhaloes accreted with mass m_acc [Msun] at ln_a_acc.
+        """Return the mass left at the last ln a of subhalos accreted with mass m_acc [Msun] at ln_a_acc.
 
-        Notes
-        -----
         Exact for any growth of the host, since d(m^-zeta)/dlna = zeta K M^-zeta. Reference: the rate is
         that of van den Bosch et al. 2005 and Giocoli et al. 2008 (Birrer et al. 2017, section 3.1.4).
         """
@@ -91,7 +71,7 @@ class TidalField:
 
 
 def draw_circularity(count: int, rng: np.random.Generator) -> FloatArray:
-    """Circularities of orbits at infall, in (0, 1) (Zentner et al. 2005)."""
+    """Draw the circularities of orbits at infall, in (0, 1) (Zentner et al. 2005)."""
     return rng.beta(CIRCULARITY_INDEX + 1.0, CIRCULARITY_INDEX + 1.0, size=count)
 
 
@@ -103,23 +83,11 @@ def friction_ln_a(
     mass_slope: float,
     circularity_slope: float,
 ) -> FloatArray:
-    """ln a at which dynamical friction has dragged a subhalo to the centre.
+    """Return ln a at which dynamical friction has dragged a subhalo to the centre.
 
-    Parameters
-    ----------
-    ln_a_acc
-        Log of the scale factor at infall.
-    mass_ratio
-        Host mass over subhalo mass, both at infall.
-    circularity
-        Orbital circularity eta at infall.
-    amplitude, mass_slope, circularity_slope
-        A_df, b_df and c_df.
-
-    Notes
-    -----
-    Reference: Boylan-Kolchin et al. 2008, eq. 6, without orbital energy, and a_df = a_acc exp(n_dyn/10)
-    of Birrer et al. 2017, both with tau_dyn = 0.1/H.
+    The mass ratio is that of host over subhalo, and the circularity that of the orbit, both at infall; amplitude
+    and slopes are A_df, b_df and c_df. Reference: Boylan-Kolchin et al. 2008, eq. 6, without orbital energy, and
+    a_df = a_acc exp(n_dyn/10) of Birrer et al. 2017, both with tau_dyn = 0.1/H.
     """
     n_dyn = amplitude * mass_ratio**mass_slope / np.log1p(mass_ratio)  # Boylan-Kolchin et al. eq. 6
     n_dyn = n_dyn * np.exp(circularity_slope * circularity)

@@ -1,4 +1,4 @@
-"""Compiled kernels of the merger trees: the walk of a branch into the past, and of all its branches."""
+"""Compiled kernels of the merger trees: the walk of a branch into the past."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ _MAX_SMOOTH = 0.5  # largest share of the mass that a step accretes smoothly
 
 @njit(cache=True)
 def split_mass(mass, accretion, progenitor, resolution):  # type: ignore[no-untyped-def]
-    """Share out the mass of a parent that branches: (heavy, light, smooth), whose sum is the mass.
+    """Split the mass of a parent that branches into (heavy, light, smooth), whose sum is the mass.
 
     The second progenitor is what smooth accretion (a share <= 1/2 of the mass) and the first (<= mass/2)
-    leave. One at or below the resolution is smooth accretion too; light is 0 then.
+    leave. A progenitor at or below the resolution counts as smooth accretion; light is 0 then.
     """
     other = mass * (1.0 - accretion) - progenitor
     light, heavy = min(progenitor, other), max(progenitor, other)
@@ -29,7 +29,7 @@ def split_mass(mass, accretion, progenitor, resolution):  # type: ignore[no-unty
 
 @njit(cache=True)
 def progenitor_position(row, last, fraction):  # type: ignore[no-untyped-def]
-    """Position in [0, last] at which the cumulative row reaches the given fraction of its total."""
+    """Return the position in [0, last] at which the cumulative row reaches the given fraction of its total."""
     target = fraction * row[last]
     low, high = 0, last
     while high - low > 1:
@@ -43,7 +43,7 @@ def progenitor_position(row, last, fraction):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def enlarged(columns, room):  # type: ignore[no-untyped-def]
-    """The same columns with room for more. A loop: numba compiles the assignment of a slice for seconds."""
+    """Copy the columns into an array with room for more. A loop: numba compiles slices for seconds."""
     out = np.empty((columns.shape[0], room), columns.dtype)
     for row in range(columns.shape[0]):
         for i in range(columns.shape[1]):
@@ -53,8 +53,9 @@ def enlarged(columns, room):  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def walk_branch(rng, clock, clock_end, ln_mass, to_end, table):  # type: ignore[no-untyped-def]
-    """Walk one branch from ln_mass at clock; a last step past clock_end is shortened if to_end, else not taken.
+    """Walk one branch from ln_mass at clock into the past.
 
+    A last step past clock_end is shortened if to_end, as trees of all orders need it, and otherwise not taken.
     Returns ([clock, ln M], [m_acc, host mass, clock_acc], smoothly accreted mass, number of steps).
     """
     ln_resolution, step, first_row, cumulative, smooth, max_step, sigma, barrier, gamma2 = table
@@ -100,7 +101,7 @@ def walk_branch(rng, clock, clock_end, ln_mass, to_end, table):  # type: ignore[
             break
         steps += 1
         if rng.random() < rate * d_omega:
-            # Each of the two rows is drawn from by its share of the rate.
+            # One of the two rows is drawn, each by its share of the rate.
             drawn = row + 1 if rng.random() * (rate_low + rate_high) < rate_high else row
             part = progenitor_position(cumulative[drawn], drawn, rng.random()) / drawn
             one = math.exp(ln_resolution + part * (ln_mass - ln_lightest))
@@ -131,31 +132,3 @@ def walk_branch(rng, clock, clock_end, ln_mass, to_end, table):  # type: ignore[
         n_trunk += 1
     smooth_mass += mass_at_split - math.exp(ln_mass)
     return trunk[:, :n_trunk], accreted[:, :n_accreted], smooth_mass, steps
-
-
-@njit(cache=True)
-def walk_all(rng, clock, clock_end, ln_mass, table):  # type: ignore[no-untyped-def]
-    """Walk the root and, one after the other, every branch that an earlier walk has found.
-
-    Returns ([m_acc, host mass, clock_acc, last mass, smooth mass], [order, parent]), one column a branch.
-    """
-    values, links = np.empty((5, 256)), np.empty((2, 256), np.int64)
-    values[0, 0], values[1, 0], values[2, 0] = math.exp(ln_mass), math.nan, clock
-    links[0, 0], links[1, 0] = 0, -1
-    n_found, branch = 1, 0
-    while branch < n_found:
-        trunk, accreted, smooth_mass, _ = walk_branch(
-            rng, values[2, branch], clock_end, math.log(values[0, branch]), True, table
-        )
-        values[3, branch], values[4, branch] = math.exp(trunk[1, -1]), smooth_mass
-        new = accreted.shape[1]
-        if n_found + new > values.shape[1]:
-            room = 2 * (n_found + new)
-            values, links = enlarged(values, room), enlarged(links, room)
-        for i in range(new):
-            for row in range(3):
-                values[row, n_found + i] = accreted[row, i]
-            links[0, n_found + i], links[1, n_found + i] = links[0, branch] + 1, branch
-        n_found += new
-        branch += 1
-    return values[:, :n_found], links[:, :n_found]

@@ -1,4 +1,4 @@
-"""Opening FITS files, which may be damaged, of any size, or made to be read by mistake."""
+"""Read images from FITS files, which may be damaged, huge or malicious."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ _MAX_HEADER_BLOCKS = 1000
 _MAX_UNIT_BYTES = 2**29
 _MAX_AXES, _MAX_COLUMNS = 9, 999
 _GZIP = b"\x1f\x8b"
-# What says how large things are, however it is written, and as it must be written.
+# Cards that declare sizes: in any spelling, and in the only one that is accepted.
 _STRUCTURE = re.compile(rb"\s*(HIERARCH\s+)?(BITPIX|NAXIS\d*|PCOUNT|GCOUNT|TFIELDS)\b", re.IGNORECASE)
 _STRUCTURE_CARD = re.compile(rb"(BITPIX|NAXIS\d{0,3}|PCOUNT|GCOUNT|TFIELDS) *= +(-?\d{1,18}) *(/.*)?", re.DOTALL)
 _PIXEL_ARCSEC = (1e-4, 60.0)
 _BITPIX = (8, 16, 32, 64, -32, -64)
-# All that is kept of a header. The linear part of a WCS is enough for the scale and the orientation.
+# Only these keywords are kept. The linear part of a WCS is enough for the scale and the orientation.
 _KEPT = re.compile(
     r"BUNIT|EXPTIME|BKGRMS|RADESYS|EQUINOX|WCSAXES|(CTYPE|CUNIT|CRVAL|CRPIX|CDELT|CROTA)[12]|(CD|PC)[12]_[12]"
 )
@@ -34,16 +34,16 @@ _DISTORTION = re.compile(r"[AB]_ORDER|CPDIS[12]|D2IMDIS[12]|DET2IM[12]")
 
 
 class _UnsuitableError(ValueError):
-    """A readable file that is not what is needed."""
+    """A file that is readable but does not hold the image that is needed."""
 
 
 def read_image(path: Path, extension: int, max_side: int) -> tuple[FloatArray, fits.Header]:
-    """Read the image [y, x] of one extension, at most `max_side` pixels on a side, and the header that is used.
+    """Read the image [y, x] of one extension, at most `max_side` pixels on a side, and the header keywords in use.
 
     Raises
     ------
     ValueError
-        Naming the file, what was found, what was expected and what to do.
+        With the file, its content, what was expected and what to do.
     """
     if not os.path.exists(path):  # noqa: PTH110 (a path that the system refuses is no file either)
         raise ValueError(f"{path}: no such file; correct the path under observation.fits")
@@ -54,23 +54,23 @@ def read_image(path: Path, extension: int, max_side: int) -> tuple[FloatArray, f
         with warnings.catch_warnings(), np.errstate(all="ignore"):
             warnings.simplefilter("ignore")
             warnings.filterwarnings("error", message="File may have been truncated")
-            # a compressed image is a table then: what its tiles inflate to would be known only afterwards
+            # read as a table, a compressed image is refused: the size that its tiles inflate to is not declared
             with fits.open(path, memmap=False, disable_image_compression=True) as hdus:
                 hdu = hdus[extension]
                 if not isinstance(hdu, fits.PrimaryHDU | fits.ImageHDU):
-                    raise _unfit(extension, "a table (a compressed image must be unpacked, with funpack)")
+                    raise _not_an_image(extension, "a table (a compressed image must be unpacked, with funpack)")
                 return np.array(hdu.data, dtype=np.float64), _kept_header(hdu.header, hdus[0].header)
     except _UnsuitableError as error:
         raise ValueError(f"{path}: {error}") from None
     except MemoryError:
         raise
-    except Exception as error:  # astropy raises whatever its parsing stumbles over
+    except Exception as error:  # astropy raises errors of many classes
         reason = " ".join(f"{type(error).__name__}: {error}".split())[:300]
         raise ValueError(f"{path}: not a readable FITS file, or truncated ({reason})") from error
 
 
 def _check_structure(path: Path, extension: int, max_side: int) -> None:
-    """Check the sizes in all headers up to that extension: astropy loops over them and makes room for them."""
+    """Check the sizes in all headers up to that extension: astropy loops over them and allocates them."""
     with path.open("rb") as packed:
         start = packed.read(6)
         packed.seek(0)
@@ -78,7 +78,7 @@ def _check_structure(path: Path, extension: int, max_side: int) -> None:
             raise ValueError("it begins with neither SIMPLE nor a gzip header")
         handle: IO[bytes] = gzip.GzipFile(fileobj=packed) if start[:2] == _GZIP else packed  # type: ignore[assignment]
         for number in range(extension + 1):
-            shape, n_bytes = _unit(handle)
+            shape, n_bytes = _read_unit(handle)
             if shape is None:
                 raise _UnsuitableError(
                     f"has {number} extensions, extension {extension} was asked for; "
@@ -87,17 +87,17 @@ def _check_structure(path: Path, extension: int, max_side: int) -> None:
             handle.seek(-(-n_bytes // _BLOCK) * _BLOCK, 1)
     assert shape is not None
     if not shape or min(shape) < 1:
-        raise _unfit(extension, "no data")
+        raise _not_an_image(extension, "no data")
     if len(shape) != 2:
-        raise _unfit(extension, f"{len(shape)} dimensions")
+        raise _not_an_image(extension, f"{len(shape)} dimensions")
     if max(shape) > max_side:
         raise _UnsuitableError(
             f"{shape[0]} x {shape[1]} pixels, at most {max_side} on a side are read; cut out the lens"
         )
 
 
-def _unit(handle: IO[bytes]) -> tuple[tuple[int, ...] | None, int]:
-    """Axes (x first) and bytes of the data of the header that begins here; no axes at the end of the file."""
+def _read_unit(handle: IO[bytes]) -> tuple[tuple[int, ...] | None, int]:
+    """Read one header; return axes (x first; None at the end of the file) and bytes of its data."""
     sizes: dict[str, int] = {}
     for number in range(_MAX_HEADER_BLOCKS):
         block = handle.read(_BLOCK)
@@ -107,10 +107,10 @@ def _unit(handle: IO[bytes]) -> tuple[tuple[int, ...] | None, int]:
             if card.rstrip() == b"END":
                 return _axes_and_bytes(sizes)
             if _STRUCTURE.match(card):
-                found = _STRUCTURE_CARD.fullmatch(card)
-                if found is None:
+                keyword_and_size = _STRUCTURE_CARD.fullmatch(card)
+                if keyword_and_size is None:
                     raise ValueError(f"bad card {card[:40]!r}")
-                sizes.setdefault(found[1].decode(), int(found[2]))
+                sizes.setdefault(keyword_and_size[1].decode(), int(keyword_and_size[2]))
         if len(block) < _BLOCK:
             raise ValueError("a header without an end")
     raise ValueError(f"a header of more than {_MAX_HEADER_BLOCKS} blocks")
@@ -130,9 +130,9 @@ def _axes_and_bytes(sizes: dict[str, int]) -> tuple[tuple[int, ...], int]:
     return axes, n_bytes
 
 
-def _unfit(extension: int, found: str) -> _UnsuitableError:
+def _not_an_image(extension: int, content: str) -> _UnsuitableError:
     return _UnsuitableError(
-        f"extension {extension} holds {found}, expected an image [y, x]; for the science image set "
+        f"extension {extension} holds {content}, expected an image [y, x]; for the science image set "
         "observation.fits.BAND.extension, write any other image to a file's first extension"
     )
 
@@ -148,7 +148,7 @@ def _kept_header(header: fits.Header, primary: fits.Header) -> fits.Header:
 
 
 def sky_steps(path: Path, header: fits.Header) -> tuple[FloatArray, tuple[float, float]]:
-    """Sky step (x West, y North) [arcsec] of a column and of a row as a 2x2 matrix, and CRPIX from 0.
+    """Return the sky step (x West, y North) [arcsec] of a column and a row as a 2x2 matrix, and 0-based CRPIX.
 
     Raises
     ------

@@ -35,7 +35,7 @@ class PixelGrid:
 
     @classmethod
     def centred(cls, shape: tuple[int, int], pixel_scale: float, x: float = 0.0, y: float = 0.0) -> PixelGrid:
-        """Grid with north up whose geometric centre lies at (x, y) [arcsec]."""
+        """Return the grid with north up whose geometric centre lies at (x, y) [arcsec]."""
         ny, nx = shape
         return cls(ny, nx, pixel_scale, x - 0.5 * (nx - 1) * pixel_scale, y - 0.5 * (ny - 1) * pixel_scale)
 
@@ -45,26 +45,26 @@ class PixelGrid:
         return self.ny, self.nx
 
     def to_sky(self, columns: FloatArray, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Sky position (x, y) [arcsec] of (fractional, 0-based) pixel columns and rows."""
+        """Return the sky position (x, y) [arcsec] of (fractional, 0-based) pixel columns and rows."""
         (xx, xy), (yx, yy) = self.axes
         x = self.origin_x + self.pixel_scale * (xx * columns + xy * rows)
         y = self.origin_y + self.pixel_scale * (yx * columns + yy * rows)
         return x, y
 
     def to_pixel(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Fractional, 0-based (column, row) of sky positions [arcsec]; the inverse of `to_sky`."""
+        """Return the fractional, 0-based (column, row) of sky positions [arcsec]; the inverse of `to_sky`."""
         (xx, xy), (yx, yy) = self.axes
         dx = (np.asarray(x) - self.origin_x) / self.pixel_scale
         dy = (np.asarray(y) - self.origin_y) / self.pixel_scale
         return xx * dx + yx * dy, xy * dx + yy * dy
 
     def coordinates(self) -> tuple[FloatArray, FloatArray]:
-        """Sky positions (x, y) of the pixel centres, each [ny, nx] [arcsec]."""
+        """Return the sky positions (x, y) of the pixel centres, each [ny, nx] [arcsec]."""
         rows, columns = np.mgrid[: self.ny, : self.nx].astype(np.float64)
         return self.to_sky(columns, rows)
 
     def subpixel_coordinates(self, factor: int) -> tuple[FloatArray, FloatArray]:
-        """Sky positions (x, y) of factor x factor sub-pixel centres, each [ny * nx, factor**2] [arcsec].
+        """Return sky positions (x, y) of factor x factor sub-pixel centres, each [ny * nx, factor**2] [arcsec].
 
         Row p belongs to pixel p = row * nx + column; the mean over the second axis is the pixel.
         """
@@ -79,7 +79,7 @@ class PixelGrid:
         return self.to_sky(sub_columns.reshape(n, factor**2), sub_rows.reshape(n, factor**2))
 
     def padded(self, margin: int) -> PixelGrid:
-        """The same grid with `margin` more pixels on every side."""
+        """Return the same grid with `margin` more pixels on every side."""
         x, y = self.to_sky(np.array(-float(margin)), np.array(-float(margin)))
         return PixelGrid(
             self.ny + 2 * margin, self.nx + 2 * margin, self.pixel_scale, float(x), float(y), self.axes

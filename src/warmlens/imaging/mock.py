@@ -1,4 +1,4 @@
-"""Images: source light along bent rays, blurred by the PSF, plus what a perturbation does not move."""
+"""Mock images: source light along bent rays, blurred by the PSF."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from warmlens.types import FloatArray
 
 
 def subpixel_field(field: FloatArray, factor: int) -> FloatArray:
-    """A field on pixel centres [..., ny, nx] at sub-pixel centres [..., ny * nx, factor**2].
+    """Interpolate a field on pixel centres [..., ny, nx] to sub-pixel centres [..., ny * nx, factor**2].
 
-    Cubic spline, mirrored at the edges; the identity for factor 1.
+    By a cubic spline that repeats the last pixel beyond the edges; the identity for factor 1.
     """
     *lead, ny, nx = field.shape
     if factor == 1:
@@ -36,7 +36,7 @@ def lensed_image(
     source_y: FloatArray,
     convolution: Convolution,
 ) -> FloatArray:
-    """Blurred image [ny, nx] [e-/s per pixel] of a shapelet source.
+    """Return the blurred image [ny, nx] [e-/s per pixel] of a shapelet source.
 
     Parameters
     ----------

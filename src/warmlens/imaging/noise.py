@@ -12,14 +12,13 @@ from warmlens.types import FloatArray
 
 @dataclass(frozen=True)
 class NoiseModel:
-    """Gaussian background and Poisson noise of the exposure, of independent pixels or of correlated ones.
+    """Gaussian background and Poisson noise of the exposure, of independent or of correlated pixels.
 
     Attributes
     ----------
-    background_rms
-        Of a pixel [e-/s]; None if the user gave a noise map.
-    exposure_s
-        Exposure time [s]; None if the user gave a noise map: then a mock's noise is Gaussian with that map.
+    background_rms, exposure_s
+        Background noise of a pixel [e-/s] and exposure time [s]. Both are None if the user gave a noise map; then
+        the noise of a mock is Gaussian with that map.
     correlation
         Correlation function of the noise between pixels (`imaging.noise_correlation`); None: they are independent.
     """
@@ -29,16 +28,16 @@ class NoiseModel:
     correlation: FloatArray | None = None
 
     def sigma(self, image: FloatArray) -> FloatArray:
-        """Noise estimated from the image d: sigma^2 = background^2 + max(d, 0) / exposure."""
+        """Return the noise estimated from the image d: sigma^2 = background^2 + max(d, 0) / exposure."""
         if self.background_rms is None or self.exposure_s is None:
             raise ValueError("a noise map was given: it is not estimated from the image")
         return np.sqrt(self.background_rms**2 + np.maximum(image, 0.0) / self.exposure_s)
 
     def draw(self, image: FloatArray, sigma: FloatArray, rng: np.random.Generator) -> FloatArray:
-        """Noisy version of a noiseless image [ny, nx] [e-/s]; `sigma` is used where only a noise map is known.
+        """Add noise to a noiseless image [ny, nx] [e-/s]; `sigma` is used only if the user gave a noise map.
 
-        Correlated noise has the same variance in every pixel as independent noise: that is divided by its sigma,
-        filtered, and multiplied again.
+        Correlated noise has the same variance in every pixel as independent noise: independent noise is divided by
+        its sigma, filtered, and multiplied by sigma again.
         """
         if self.background_rms is None or self.exposure_s is None:
             scale = np.where(np.isfinite(sigma), sigma, 0.0)
@@ -54,18 +53,3 @@ class NoiseModel:
             scale = self.sigma(image)
             white = (noisy - image) / scale
         return image + scale * correlate(white, self.correlation)
-
-
-def with_quasar_variance(sigma: FloatArray, quasars: FloatArray, fraction: float) -> FloatArray:
-    """Add the error of the PSF near bright points: sigma^2 + (fraction * flux of the point sources)^2.
-
-    Parameters
-    ----------
-    sigma
-        Noise [e-/s], any shape.
-    quasars
-        Image of the point sources alone [e-/s], same shape.
-    fraction
-        Relative error of the PSF.
-    """
-    return np.sqrt(sigma**2 + (fraction * quasars) ** 2)

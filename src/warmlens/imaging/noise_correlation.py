@@ -1,7 +1,7 @@
-"""Correlation of the noise between pixels, as drizzling makes it: measured, checked and drawn.
+"""Correlation of the noise between pixels, as drizzling causes it: measured, checked and drawn.
 
-A correlation function is an array [2 r + 1, 2 r + 1] of offsets (row, column) from -r to r: 1 in the middle,
-the same at opposite offsets, 0 beyond.
+A correlation function is an array [2 r + 1, 2 r + 1] of offsets (row, column) from -r to r. It is 1 in the middle,
+symmetric under a change of sign of the offset, and 0 beyond.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from scipy import fft
 
 from warmlens.types import BoolArray, FloatArray
 
-REACH = 2  # pixels: drizzling onto pixels of half a detector pixel's side correlates two, onto equal ones one
-MIN_SKY_PIXELS = 1000  # the correlation of independent noise then scatters by 0.03
-_ORDER = 4  # of the polynomial that is taken off blank sky
-_CLIP = 4.0  # pixels of blank sky farther off, in sigma, are sources
+REACH = 2  # pixels; drizzling correlates 2 if its pixels are half as wide as the detector's, 1 if they are equal
+MIN_SKY_PIXELS = 1000  # with these the correlation of independent noise scatters by 0.03
+_ORDER = 4  # of the polynomial that is subtracted from blank sky
+_CLIP = 4.0  # sigma; pixels of blank sky beyond are sources
 _CLIP_ROUNDS = 5
-_LOST_POWER = 0.02  # of a correlation function's spectrum that may lie below zero
+_LOST_POWER = 0.02  # share of the power of a correlation function that may be negative
 
 
 def autocorrelation(values: FloatArray, used: BoolArray, reach: int = REACH) -> FloatArray:
-    """Correlation function of the used pixels of an image [ny, nx], whose mean is taken to be zero.
+    """Return the correlation function of the used pixels of an image [ny, nx] of zero mean.
 
-    Every offset is the mean over the pairs of used pixels that far apart, over the variance.
+    At each offset it is the mean product over pairs of used pixels that far apart, over the variance.
 
     Raises
     ------
@@ -46,18 +46,11 @@ def autocorrelation(values: FloatArray, used: BoolArray, reach: int = REACH) -> 
 
 
 def sky_noise(image: FloatArray, sky: BoolArray) -> tuple[FloatArray, float]:
-    """Correlation function and rms of the noise in blank sky.
+    """Measure the correlation function and the rms of the noise of an image [ny, nx] in its pixels of blank sky.
 
-    A polynomial of fourth order is taken off, and pixels beyond 4 sigma are left out. What the polynomial takes of
-    the noise is put back: its p coefficients lower the covariance of n pixels at every offset by S p / n times the
-    variance, with S the sum of the correlation function.
-
-    Parameters
-    ----------
-    image
-        [ny, nx], any unit.
-    sky
-        Pixels that hold nothing but sky.
+    A polynomial of fourth order is subtracted, and pixels beyond 4 sigma are left out. The polynomial also removes
+    noise, which is corrected for: its p coefficients lower the covariance of n pixels at every offset by S p / n
+    times the variance, with S the sum of the correlation function.
 
     Raises
     ------
@@ -81,22 +74,21 @@ def sky_noise(image: FloatArray, sky: BoolArray) -> tuple[FloatArray, float]:
         if np.array_equal(kept, used):
             break
         used = kept
-    found = autocorrelation(rest, used)
-    taken = len(surface) / np.count_nonzero(used)
-    # found = (rho - S taken) / (1 - S taken), summed over the offsets and solved for S
-    total = found.sum() / (1.0 - taken * (found.size - found.sum()))
-    return found * (1.0 - total * taken) + total * taken, rms / np.sqrt(1.0 - total * taken)
+    raw = autocorrelation(rest, used)
+    share = len(surface) / np.count_nonzero(used)  # p / n
+    # raw = (rho - S p/n) / (1 - S p/n), summed over the offsets and solved for S
+    total = raw.sum() / (1.0 - share * (raw.size - raw.sum()))
+    return raw * (1.0 - total * share) + total * share, rms / np.sqrt(1.0 - total * share)
 
 
 def checked_correlation(covariance: FloatArray) -> FloatArray:
-    """A correlation function that some noise has, from its covariance in any unit.
-
-    Power that is negative, by less than 2% of all, is noise of the measurement and set to zero.
+    """Normalise a covariance in any unit to a correlation function, and check that noise can have it.
 
     Raises
     ------
     ValueError
-        If it is no correlation function.
+        If it is no correlation function. Negative power up to 2% of all is noise of the measurement and accepted;
+        `correlate` sets it to zero.
     """
     if covariance.ndim != 2 or covariance.shape[0] != covariance.shape[1] or covariance.shape[0] % 2 == 0:
         raise ValueError(f"a correlation function has equal, odd sides, this one has {covariance.shape}")
@@ -119,10 +111,10 @@ def checked_correlation(covariance: FloatArray) -> FloatArray:
 
 
 def correlate(white: FloatArray, correlation: FloatArray) -> FloatArray:
-    """Noise of unit variance with a correlation function, from independent noise of unit variance [ny, nx].
+    """Filter independent noise of unit variance [ny, nx] to noise of unit variance with a correlation function.
 
-    The field is filtered by the root of the power spectrum; it is periodic, so that opposite edges of the image
-    are correlated as neighbours are.
+    The filter is the root of the power spectrum. The field is periodic: opposite edges of the image are correlated
+    as neighbours are.
     """
     amplitude = np.sqrt(np.maximum(_power(correlation, white.shape), 0.0))
     # unit variance: the mean of the power over all wave numbers is 1
@@ -131,14 +123,14 @@ def correlate(white: FloatArray, correlation: FloatArray) -> FloatArray:
 
 
 def neighbours(correlation: FloatArray) -> tuple[float, float, float]:
-    """Correlation of neighbours along rows, along columns, and across the diagonals (their mean)."""
+    """Return the correlation of neighbours along rows, along columns, and across the diagonals (their mean)."""
     c = correlation.shape[0] // 2
     diagonal = 0.5 * (correlation[c + 1, c + 1] + correlation[c + 1, c - 1])
     return float(correlation[c, c + 1]), float(correlation[c + 1, c]), float(diagonal)
 
 
 def _power(correlation: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-    """Power spectrum on a periodic image; the mean over all wave numbers is the variance, 1."""
+    """Return the power spectrum on a periodic image; the mean over all wave numbers is the variance, 1."""
     reach = correlation.shape[0] // 2
     wrapped = np.zeros(shape)
     wrapped[: 2 * reach + 1, : 2 * reach + 1] = correlation

@@ -15,28 +15,14 @@ from warmlens.types import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class Band:
-    """One band, arrays [ny, nx].
-
-    Attributes
-    ----------
-    image
-        Observed brightness [e-/s per pixel].
-    sigma
-        Its noise [e-/s per pixel].
-    mask
-        True on pixels that are used.
-    psf
-        Point spread function on the image pixels, odd sides, sum 1.
-    noise
-        How the noise of a mock is drawn.
-    """
+    """One band, arrays [ny, nx]."""
 
     name: str
-    image: FloatArray
-    sigma: FloatArray
-    mask: BoolArray
-    psf: FloatArray
-    noise: NoiseModel
+    image: FloatArray  # [e-/s per pixel]
+    sigma: FloatArray  # noise [e-/s per pixel]
+    mask: BoolArray  # true on pixels that are used
+    psf: FloatArray  # on the image pixels, odd sides, sum 1
+    noise: NoiseModel  # of mocks
 
     @property
     def weights(self) -> FloatArray:
@@ -67,7 +53,7 @@ def checked_band(
     Raises
     ------
     ValueError
-        Naming the band, what is wrong, where, and what to do.
+        With the band, what is wrong, where, and what to do.
     """
     for label, array in (("image", image), ("sigma", sigma), ("mask", mask)):
         if array.shape != grid.shape:

@@ -15,15 +15,10 @@ _SPLINE_MARGIN = 12  # pixels after which a cubic cardinal spline has fallen bel
 
 
 def validate_psf(psf: FloatArray, name: str) -> FloatArray:
-    """Return the PSF normalised to sum 1, or say what is wrong with it.
+    """Return the PSF normalised to sum 1, or raise a `ValueError` that names it by band or path.
 
-    Parameters
-    ----------
-    psf
-        Square image of a point source, odd size, centred on its middle pixel. Slightly negative wings
-        (an empirical PSF has them) are allowed.
-    name
-        What to call it in an error: band, or path of the file.
+    It must be a square image of a point source with an odd size, centred on its middle pixel. Slightly negative
+    wings, as of an empirical PSF, are allowed.
     """
     psf = np.asarray(psf, dtype=np.float64)
     if psf.ndim != 2 or psf.shape[0] != psf.shape[1]:
@@ -53,14 +48,9 @@ def validate_psf(psf: FloatArray, name: str) -> FloatArray:
 
 
 class Convolution:
-    """P of docs/scan.md: convolution of images of one shape with one kernel, zero outside the image.
+    """P of docs/scan.md: convolution of images of one shape (ny, nx), zero outside, with one kernel.
 
-    Parameters
-    ----------
-    psf
-        Kernel [odd, odd], centred on its middle pixel; may be larger than the image.
-    shape
-        Image shape (ny, nx).
+    The kernel [odd, odd] is centred on its middle pixel and may be larger than the image.
     """
 
     def __init__(self, psf: FloatArray, shape: tuple[int, int]) -> None:
@@ -69,8 +59,8 @@ class Convolution:
             raise ValueError(f"convolution kernel must be 2-D with odd sizes, got shape {psf.shape}")
         self.psf = psf
         self.shape = shape
-        # Pixels further apart than the image is long never meet: drop that part of the kernel. Padding by
-        # the rest keeps what wraps around the transform outside the image.
+        # Pixels cannot be further apart than the image is long: drop that part of the kernel. Padding by the rest
+        # keeps the wrap-around of the transform outside the image.
         reach = [min(size // 2, n - 1) for size, n in zip(psf.shape, shape, strict=True)]
         self._padded = tuple(fft.next_fast_len(n + r, real=True) for n, r in zip(shape, reach, strict=True))
         (ry, rx), (my, mx) = reach, (psf.shape[0] // 2, psf.shape[1] // 2)
@@ -79,11 +69,11 @@ class Convolution:
         self._transfer = fft.rfft2(np.roll(kernel, (-ry, -rx), axis=(0, 1)), workers=1)
 
     def forward(self, images: FloatArray) -> FloatArray:
-        """P times each image: [..., ny, nx] -> [..., ny, nx]."""
+        """Return P times each image, [..., ny, nx]."""
         return self._apply(images, self._transfer)
 
     def adjoint(self, images: FloatArray) -> FloatArray:
-        """P^T times each image (correlation with the kernel): [..., ny, nx] -> [..., ny, nx]."""
+        """Return P^T times each image (correlation with the kernel), [..., ny, nx]."""
         return self._apply(images, np.conj(self._transfer))
 
     def _apply(self, images: FloatArray, transfer: npt.NDArray[np.complex128]) -> FloatArray:
@@ -101,12 +91,12 @@ class Convolution:
 
 
 def point_source(psf: FloatArray, grid: PixelGrid, x: float, y: float) -> FloatArray:
-    """Image [ny, nx] of a point source of unit flux at the sky position (x, y) [arcsec].
+    """Return the image [ny, nx] of a point source of unit flux at the sky position (x, y) [arcsec].
 
-    The PSF is shifted by the fraction of a pixel with its interpolating cubic spline. Its cardinal function
-    is a partition of unity and reproduces straight lines, so flux and centroid are kept exactly, and it
-    is local: a Fourier shift of an undersampled core would ring through the whole image, a linear one
-    would blur the core. Flux that falls off the image is lost.
+    The PSF is shifted by the fraction of a pixel with its interpolating cubic spline. The cardinal function of the
+    spline is a partition of unity and reproduces straight lines, so flux and centroid are kept exactly. It is also
+    local: a Fourier shift of an undersampled core would ring through the whole image, a linear one would blur the
+    core. Flux that falls off the image is lost.
     """
     column, row = (float(value) for value in grid.to_pixel(np.asarray(x), np.asarray(y)))
     if not (math.isfinite(column) and math.isfinite(row)):
@@ -138,14 +128,12 @@ def hst_like_psf(
     blur_arcsec: float = 0.035,
     relative_bandwidth: float = 0.25,
 ) -> FloatArray:
-    """PSF of a telescope with an obscured circular pupil, averaged over the pixel, sum 1.
+    """Return the PSF [n_pix, n_pix] of an obscured circular pupil, averaged over the pixel, sum 1.
 
     Parameters
     ----------
     wavelength_nm
         Middle of the band [nm].
-    pixel_scale_arcsec
-        Side of a pixel [arcsec].
     n_pix
         Size of the PSF [pixel], odd.
     diameter_m, obscuration
@@ -156,11 +144,6 @@ def hst_like_psf(
         half the peak (the 0.126" often quoted), 0.11" by `fwhm`, which interpolates.
     relative_bandwidth
         Full width of the (flat) band over its middle; 0.25 for HST's wide filters.
-
-    Returns
-    -------
-    FloatArray
-        [n_pix, n_pix].
     """
     if n_pix < 1 or n_pix % 2 == 0:
         raise ValueError(f"n_pix of a PSF must be a positive odd number, got {n_pix}")
@@ -198,7 +181,7 @@ def _jinc(x: FloatArray) -> FloatArray:
 
 
 def fwhm(psf: FloatArray, pixel_scale_arcsec: float) -> float:
-    """Full width at half maximum [arcsec]: diameter of the circle with the area above half the peak.
+    """Return the full width at half maximum [arcsec], the diameter of a circle with the area above half the peak.
 
     The image is oversampled with its interpolating cubic spline, since HST's core spans 2-3 pixels.
     """

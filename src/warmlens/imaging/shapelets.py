@@ -27,20 +27,10 @@ DARK_BEYOND = 8.0  # u past the turning point sqrt(2 n + 1) of phi_n where it ha
 
 @dataclass(frozen=True)
 class ShapeletSet:
-    """All shapelets up to one total order about one centre.
+    """All shapelets up to one total order about one centre in the source plane [arcsec]."""
 
-    Attributes
-    ----------
-    n_max
-        Highest total order n1 + n2, >= 0.
-    beta
-        Scale [arcsec], > 0.
-    center_x, center_y
-        Centre in the source plane [arcsec].
-    """
-
-    n_max: int
-    beta: float
+    n_max: int  # highest total order n1 + n2, >= 0
+    beta: float  # scale [arcsec], > 0
     center_x: float
     center_y: float
 
@@ -60,62 +50,39 @@ class ShapeletSet:
         return (self.n_max + 1) * (self.n_max + 2) // 2
 
     def orders(self) -> tuple[tuple[int, int], ...]:
-        """The pairs (n1, n2) in the order of the coefficients."""
+        """Return the pairs (n1, n2) in the order of the coefficients."""
         return tuple((total - n2, n2) for total in range(self.n_max + 1) for n2 in range(total + 1))
 
 
 def n_coefficients(sets: Sequence[ShapeletSet]) -> int:
-    """Number of coefficients of several sets together."""
-    return sum(item.n_coefficients for item in sets)
+    """Return the number of coefficients of several sets together."""
+    return sum(shapelets.n_coefficients for shapelets in sets)
 
 
 def pack_sets(sets: Sequence[ShapeletSet]) -> FloatArray:
-    """Rows (n_max, beta, center_x, center_y) [n_set, 4], as the compiled kernels want them."""
+    """Return rows (n_max, beta, center_x, center_y) [n_set, 4] for the compiled kernels."""
     if not sets:
         raise ValueError("the source needs at least one shapelet set, got none")
-    return np.array([(item.n_max, item.beta, item.center_x, item.center_y) for item in sets], dtype=np.float64)
+    return np.array([(s.n_max, s.beta, s.center_x, s.center_y) for s in sets], dtype=np.float64)
 
 
 def recurrence_factors(sets: Sequence[ShapeletSet]) -> FloatArray:
-    """Factors sqrt(2/(n+1)), sqrt(n/(n+1)) of the recurrence of phi_n [2, largest n_max + 1]."""
-    n = np.arange(max(item.n_max for item in sets) + 1, dtype=np.float64)
+    """Return the factors sqrt(2/(n+1)), sqrt(n/(n+1)) of the recurrence of phi_n [2, largest n_max + 1]."""
+    n = np.arange(max(shapelets.n_max for shapelets in sets) + 1, dtype=np.float64)
     return np.stack([np.sqrt(2.0 / (n + 1.0)), np.sqrt(n / (n + 1.0))])
 
 
 def basis(sets: Sequence[ShapeletSet], x: FloatArray, y: FloatArray) -> FloatArray:
-    """Every function of every set at the given rays.
-
-    Parameters
-    ----------
-    sets
-        Shapelet sets; their functions follow one another along the last axis.
-    x, y
-        Source-plane positions [arcsec], [n_ray].
-
-    Returns
-    -------
-    FloatArray
-        [n_ray, n_coef].
-    """
+    """Return every function of every set [n_ray, n_coef] at source-plane positions [n_ray] [arcsec]."""
     x, y = _same_shape(x, y, 1)
     return pixel_basis(sets, x[:, None], y[:, None])
 
 
 def pixel_basis(sets: Sequence[ShapeletSet], source_x: FloatArray, source_y: FloatArray) -> FloatArray:
-    """Every function averaged over the sub-pixels of each pixel: the columns B of the design matrix.
+    """Return every function averaged over each pixel, the columns B [npix, n_coef] of the design matrix.
 
-    Parameters
-    ----------
-    sets
-        Shapelet sets; their functions follow one another along the last axis.
-    source_x, source_y
-        Source-plane positions of the sub-pixels' rays [arcsec], [npix, s2].
-
-    Returns
-    -------
-    FloatArray
-        [npix, n_coef]. With these columns unscaled, a coefficient is in the unit of the image (e-/s per
-        pixel).
+    The source-plane positions of the sub-pixels' rays are [npix, s2] [arcsec]; the sets follow one another. The
+    columns are not scaled, so a coefficient has the unit of the image (e-/s per pixel).
     """
     source_x, source_y = _same_shape(source_x, source_y, 2)
     return _pixel_basis(pack_sets(sets), recurrence_factors(sets), source_x, source_y, n_coefficients(sets))
@@ -124,21 +91,9 @@ def pixel_basis(sets: Sequence[ShapeletSet], source_x: FloatArray, source_y: Flo
 def surface_brightness(
     sets: Sequence[ShapeletSet], coefficients: FloatArray, x: FloatArray, y: FloatArray
 ) -> FloatArray:
-    """Surface brightness of a source at the given rays, without the matrix of basis values.
+    """Return the surface brightness at source-plane positions [arcsec], any shape, without the basis matrix.
 
-    Parameters
-    ----------
-    sets
-        Shapelet sets.
-    coefficients
-        [n_coef], in the order of `basis`.
-    x, y
-        Source-plane positions [arcsec], any common shape.
-
-    Returns
-    -------
-    FloatArray
-        Same shape as `x`, in the unit of the coefficients.
+    The coefficients [n_coef] are in the order of `basis`; the result has their unit.
     """
     coefficients = np.ascontiguousarray(coefficients, dtype=np.float64)
     if coefficients.shape != (n_coefficients(sets),):
@@ -159,7 +114,7 @@ def _same_shape(x: FloatArray, y: FloatArray, ndim: int) -> tuple[FloatArray, Fl
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
 def _hermite_functions(u: FloatArray, factors: FloatArray, out: FloatArray) -> None:
-    """phi_n(u) into out [n, ray], by the recurrence that is stable upwards in n."""
+    """Write phi_n(u) into out [n, ray], by the recurrence that is stable upwards in n."""
     for ray in range(u.size):
         out[0, ray] = math.pi**-0.25 * math.exp(-0.5 * u[ray] * u[ray])
     if out.shape[0] > 1:
@@ -181,20 +136,19 @@ def add_basis(
     weights: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Add sum over s of weights[s] * (every function at x[s], y[s]) to out. For compiled callers.
+    """Add the weighted sum over rays of every function at (x, y) to out [n_coef, npix]; for compiled callers.
 
-    x, y are [n_ray, npix] (pixel fastest, so that every loop below is a vector operation), weights
-    [n_ray], out [n_coef, npix].
+    x, y are [n_ray, npix] (pixel fastest, so that every loop below is a vector operation), weights [n_ray].
     """
     n_ray, npix = x.shape
     coefficient = 0
-    for item in range(packed.shape[0]):
-        n_max = int(packed[item, 0])
+    for k in range(packed.shape[0]):
+        n_max = int(packed[k, 0])
         phi_x = np.empty((n_ray, n_max + 1, npix))
         phi_y = np.empty((n_ray, n_max + 1, npix))
         for ray in range(n_ray):
-            _hermite_functions((x[ray] - packed[item, 2]) / packed[item, 1], factors, phi_x[ray])
-            _hermite_functions((y[ray] - packed[item, 3]) / packed[item, 1], factors, phi_y[ray])
+            _hermite_functions((x[ray] - packed[k, 2]) / packed[k, 1], factors, phi_x[ray])
+            _hermite_functions((y[ray] - packed[k, 3]) / packed[k, 1], factors, phi_y[ray])
             for n in range(n_max + 1):
                 for i in range(npix):
                     phi_x[ray, n, i] *= weights[ray]
@@ -203,7 +157,7 @@ def add_basis(
             for n2 in range(total + 1):
                 n1 = total - n2
                 row = out[coefficient]
-                for ray in range(0, by_four, 4):  # four rays a pass: `row` is loaded and stored once
+                for ray in range(0, by_four, 4):  # four rays per pass: `row` is loaded and stored once
                     x0, y0 = phi_x[ray, n1], phi_y[ray, n2]
                     x1, y1 = phi_x[ray + 1, n1], phi_y[ray + 1, n2]
                     x2, y2 = phi_x[ray + 2, n1], phi_y[ray + 2, n2]
@@ -243,25 +197,25 @@ def _sum_brightness(
     out = np.zeros(x.size)
     near = np.empty(x.size, dtype=np.int64)
     start = 0
-    for item in range(packed.shape[0]):
-        n_max = int(packed[item, 0])
+    for k in range(packed.shape[0]):
+        n_max = int(packed[k, 0])
         table = np.zeros((n_max + 1, n_max + 1))  # coefficients as [n1, n2]
         for total in range(n_max + 1):
             for n2 in range(total + 1):
                 table[total - n2, n2] = coefficients[start]
                 start += 1
-        reach = packed[item, 1] * (math.sqrt(2.0 * n_max + 1.0) + DARK_BEYOND)
+        reach = packed[k, 1] * (math.sqrt(2.0 * n_max + 1.0) + DARK_BEYOND)
         n_near = 0
         for ray in range(x.size):  # a clump is seen by few rays: the others are left out
             near[n_near] = ray
-            far = (abs(x[ray] - packed[item, 2]) >= reach) | (abs(y[ray] - packed[item, 3]) >= reach)
+            far = (abs(x[ray] - packed[k, 2]) >= reach) | (abs(y[ray] - packed[k, 3]) >= reach)
             n_near += not far  # written so that NaN is near, and comes out as NaN
         for first in range(0, n_near, 64):
             rays = near[first : min(first + 64, n_near)]
             phi_x = np.empty((n_max + 1, rays.size))
             phi_y = np.empty((n_max + 1, rays.size))
-            _hermite_functions((x[rays] - packed[item, 2]) / packed[item, 1], factors, phi_x)
-            _hermite_functions((y[rays] - packed[item, 3]) / packed[item, 1], factors, phi_y)
+            _hermite_functions((x[rays] - packed[k, 2]) / packed[k, 1], factors, phi_x)
+            _hermite_functions((y[rays] - packed[k, 3]) / packed[k, 1], factors, phi_y)
             # sum over n1 of phi_n1(x) [sum over n2 of c_(n1,n2) phi_n2(y)]
             inner = np.dot(table, phi_y)
             light = np.zeros(rays.size)

@@ -56,7 +56,7 @@ class SpiralSource:
         )
 
     def surface_brightness(self, x: FloatArray, y: FloatArray, flux: float, clump_fraction: float) -> FloatArray:
-        """Surface brightness [flux per square arcsec] at source positions [arcsec], of any shape."""
+        """Return the surface brightness [flux per square arcsec] at source positions [arcsec], of any shape."""
         core = _CORE * self.disc_scale
         r = np.hypot(x - self.center_x, y - self.center_y)
         disc = np.exp(-(np.sqrt(r**2 + core**2) - core) / self.disc_scale)

@@ -1,1 +1,1 @@
-"""Deflections of the smooth lens and of its subhaloes."""
+"""Deflections of the macro model and of its subhalos."""

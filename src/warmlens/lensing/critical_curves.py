@@ -14,30 +14,23 @@ from warmlens.types import BoolArray, FloatArray
 
 _SMALLEST_STEPS = 3.0
 _CUT_STEPS = 1.5
+_CENTRE = {"center_x", "center_y"}
 _SINGULAR = 100.0  # determinant a thousandth of a step from the centre
 
 
 @dataclass(frozen=True)
 class CriticalCurve:
-    """One connected critical curve and the caustic that it maps to.
+    """One connected critical curve and the caustic that it maps to, points (x, y) [n, 2] [arcsec]."""
 
-    Attributes
-    ----------
-    sky
-        Points (x, y) of the critical curve [n, 2] [arcsec]; the last is the first if it is closed.
-    source
-        The same points in the source plane [n, 2] [arcsec].
-    """
-
-    sky: FloatArray
-    source: FloatArray
+    sky: FloatArray  # the last point is the first if the curve is closed
+    source: FloatArray  # the same points in the source plane
 
 
 def inverse_magnification(
     lens_model_list: Sequence[str], kwargs_lens: Sequence[Mapping[str, Any]], x: FloatArray, y: FloatArray
 ) -> FloatArray:
-    """Determinant of the Jacobian d beta / d theta at positions [arcsec] of any shape; NaN where singular."""
-    from lenstronomy.LensModel.lens_model import LensModel
+    """Return det(d beta / d theta) at positions [arcsec] of any shape; NaN where singular."""
+    from lenstronomy.LensModel.lens_model import LensModel  # slow to import
 
     model = LensModel(list(lens_model_list))
     with np.errstate(divide="ignore", invalid="ignore"):  # at the very centre of a singular profile
@@ -51,7 +44,7 @@ def critical_curves(
     window: tuple[float, float, float, float],
     step_arcsec: float = 0.02,
 ) -> list[CriticalCurve]:
-    """Where the determinant of the Jacobian changes its sign, and the caustics there, the longest curve first.
+    """Find where the determinant of the Jacobian changes its sign, and the caustics, the longest curve first.
 
     Parameters
     ----------
@@ -60,13 +53,13 @@ def critical_curves(
     window
         Smallest x, largest x, smallest y, largest y on the sky [arcsec]; curves end at its edge.
     step_arcsec
-        Of the grid on which the determinant is evaluated. The curves are interpolated linearly between its
+        Step of the grid on which the determinant is evaluated. The curves are interpolated linearly between its
         points, which leaves an error of about step^2 / (4 theta_E).
 
     Notes
     -----
-    At the centre of a singular profile the determinant changes its sign by way of infinity. Such a place is no
-    critical curve, though a grid sees one: curves are cut there, and what is smaller than three steps is left out.
+    At the centre of a singular profile the determinant changes its sign through infinity, which on a grid looks
+    like a critical curve. Curves are therefore cut there, and those smaller than three steps are left out.
     """
     x0, x1, y0, y1 = window
     if not (x0 < x1 and y0 < y1 and step_arcsec > 0.0):
@@ -91,10 +84,9 @@ def critical_curves(
 def _singular_centres(
     lens_model_list: Sequence[str], kwargs_lens: Sequence[Mapping[str, Any]], step_arcsec: float
 ) -> FloatArray:
-    """Centres of the profiles about which the determinant has no bound [n, 2] [arcsec]."""
-    names = "center_x", "center_y"
-    centres = np.array([[item[name] for name in names] for item in kwargs_lens if set(names) <= set(item)])
-    centres = centres.reshape(-1, 2)
+    """Return the centres of the profiles about which the determinant has no bound [n, 2] [arcsec]."""
+    positions = [(kwargs["center_x"], kwargs["center_y"]) for kwargs in kwargs_lens if kwargs.keys() >= _CENTRE]
+    centres = np.array(positions).reshape(-1, 2)
     around = 1e-3 * step_arcsec * np.array([[1.0, 0.2], [-0.2, 1.0], [-1.0, -0.2], [0.2, -1.0]])
     points = centres[:, None] + around
     determinant = inverse_magnification(lens_model_list, kwargs_lens, points[..., 0], points[..., 1])
@@ -102,7 +94,7 @@ def _singular_centres(
 
 
 def _runs(line: FloatArray, good: BoolArray) -> list[FloatArray]:
-    """Parts of a curve [n, 2] between the points that are not good; the curve itself if all are."""
+    """Split a curve [n, 2] at the points that are not good."""
     if good.all():
         return [line]
     if np.array_equal(line[0], line[-1]):  # closed: begin at a bad point, so that no part is cut in two

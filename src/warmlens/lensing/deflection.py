@@ -1,4 +1,4 @@
-"""Deflection and convergence of a population of truncated NFW subhaloes.
+"""Deflection and convergence of truncated NFW halos.
 
 The profile is rho = rho_s / [x (1 + x)^2] * tau^2 / (tau^2 + x^2) with x = r / r_s and tau = r_t / r_s
 (Baltz et al. 2009, n = 1). Everything is written in s = x^2 and in the projected mass in units of
@@ -13,6 +13,7 @@ Reference: Baltz et al. 2009, n = 1; docs/halos.md, item 10.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,6 +29,51 @@ EXPONENT_OF_ONE = 0x3FF0000000000000  # bits of 1.0: with a mantissa they make a
 BLOCK = 512  # rays
 
 
+class TnfwHalos(NamedTuple):
+    """Truncated NFW halos on the sky, each [n]; n may be 0.
+
+    Attributes
+    ----------
+    center_x, center_y
+        Positions [arcsec].
+    r_s_arcsec, r_t_arcsec
+        Scale and truncation radius [arcsec], > 0.
+    alpha_scale
+        4 rho_s r_s^2 / Sigma_cr / D_l [arcsec], >= 0; see `tnfw_angular_scales`.
+    """
+
+    center_x: FloatArray
+    center_y: FloatArray
+    r_s_arcsec: FloatArray
+    r_t_arcsec: FloatArray
+    alpha_scale: FloatArray
+
+    def checked(self) -> TnfwHalos:
+        """Return the halos as contiguous float arrays, after checking shapes and ranges.
+
+        Raises
+        ------
+        ValueError
+            If the arrays differ in length, or a value is impossible.
+        """
+        halos = TnfwHalos(*(np.ascontiguousarray(value, dtype=np.float64) for value in self))
+        shape = halos.center_x.shape
+        smallest = np.nextafter(0.0, 1.0)
+        for name, array, lowest in zip(
+            self._fields, halos, (-np.inf, -np.inf, smallest, smallest, 0.0), strict=True
+        ):
+            if array.ndim != 1 or array.shape != shape:
+                raise ValueError(f"{name} has shape {array.shape}, expected {shape} with one axis of halos")
+            bad = ~np.isfinite(array) | (array < lowest)
+            if bad.any():
+                first = int(np.argmax(bad))
+                raise ValueError(
+                    f"{name}[{first}] = {array[first]} ({int(bad.sum())} of {array.size} bad); positions must "
+                    "be finite, radii > 0, alpha_scale >= 0"
+                )
+        return halos
+
+
 def tnfw_angular_scales(
     r_s_kpc: npt.ArrayLike,
     r_t_kpc: npt.ArrayLike,
@@ -35,7 +81,7 @@ def tnfw_angular_scales(
     kpc_per_arcsec: float,
     sigma_crit_msun_kpc2: float,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Turn the physical parameters of subhaloes into what `tnfw_deflection` takes.
+    """Return r_s_arcsec, r_t_arcsec and alpha_scale of `TnfwHalos` from physical parameters.
 
     Parameters
     ----------
@@ -43,15 +89,8 @@ def tnfw_angular_scales(
         Scale and truncation radius [physical kpc], each [n].
     rho_s_msun_kpc3
         Characteristic density [Msun/kpc^3], [n].
-    kpc_per_arcsec
-        Angular scale at the lens [kpc/arcsec].
-    sigma_crit_msun_kpc2
-        Critical surface density [Msun/kpc^2].
-
-    Returns
-    -------
-    r_s_arcsec, r_t_arcsec, alpha_scale
-        Each [n], [arcsec]; alpha_scale = 4 rho_s r_s^2 / Sigma_cr / D_l.
+    kpc_per_arcsec, sigma_crit_msun_kpc2
+        Angular scale [kpc/arcsec] and critical surface density [Msun/kpc^2] of the lens.
     """
     if not (kpc_per_arcsec > 0.0 and sigma_crit_msun_kpc2 > 0.0):
         raise ValueError(
@@ -65,70 +104,29 @@ def tnfw_angular_scales(
     return r_s / kpc_per_arcsec, r_t / kpc_per_arcsec, alpha_scale
 
 
-def tnfw_deflection(
-    x: npt.ArrayLike,
-    y: npt.ArrayLike,
-    center_x: npt.ArrayLike,
-    center_y: npt.ArrayLike,
-    r_s_arcsec: npt.ArrayLike,
-    r_t_arcsec: npt.ArrayLike,
-    alpha_scale: npt.ArrayLike,
-) -> FloatArray:
-    """Sum of the deflections of all subhaloes at each ray.
+def tnfw_deflection(x: npt.ArrayLike, y: npt.ArrayLike, halos: TnfwHalos) -> FloatArray:
+    """Return the summed deflection (alpha_x, alpha_y) [2, *x.shape] [arcsec] of all halos at rays (x, y) [arcsec].
 
-    Parameters
-    ----------
-    x, y
-        Positions of the rays [arcsec], any common shape.
-    center_x, center_y
-        Positions of the subhaloes [arcsec], each [n]; n may be 0.
-    r_s_arcsec, r_t_arcsec
-        Scale and truncation radius [arcsec], each [n], > 0.
-    alpha_scale
-        4 rho_s r_s^2 / Sigma_cr / D_l [arcsec], [n], >= 0; see `tnfw_angular_scales`.
-
-    Returns
-    -------
-    deflection
-        (alpha_x, alpha_y) [arcsec], [2, *x.shape]. Exactly 0 at the centre of a lone subhalo.
-
-    Notes
-    -----
-    The radial function of each subhalo is tabulated (cubic Hermite, exact values and slopes at the nodes);
-    the error is below 2e-6 of the deflection itself.
-
+    The radial function of each halo is tabulated (cubic Hermite, exact values and slopes at the nodes); the error
+    is below 2e-6 of the deflection itself. At the centre of a lone halo the deflection is exactly 0.
     Reference: Birrer+2017 sec. 3.2, alpha_dm; docs/halos.md, item 10.
     """
-    rays_x, rays_y = _rays(x, y)
-    subhaloes = _subhaloes(center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
-    alpha_x, alpha_y = _sum_deflections(rays_x.ravel(), rays_y.ravel(), *subhaloes)
+    rays_x, rays_y = _checked_rays(x, y)
+    alpha_x, alpha_y = _sum_deflections(rays_x.ravel(), rays_y.ravel(), halos.checked())
     return np.stack([alpha_x.reshape(rays_x.shape), alpha_y.reshape(rays_x.shape)])
 
 
-def tnfw_convergence(
-    x: npt.ArrayLike,
-    y: npt.ArrayLike,
-    center_x: npt.ArrayLike,
-    center_y: npt.ArrayLike,
-    r_s_arcsec: npt.ArrayLike,
-    r_t_arcsec: npt.ArrayLike,
-    alpha_scale: npt.ArrayLike,
-) -> FloatArray:
-    """Sum of the convergences of all subhaloes at each position; parameters as in `tnfw_deflection`.
+def tnfw_convergence(x: npt.ArrayLike, y: npt.ArrayLike, halos: TnfwHalos) -> FloatArray:
+    """Return the summed convergence kappa = Sigma / Sigma_cr of all halos at positions (x, y) [arcsec], any shape.
 
-    Returns
-    -------
-    convergence
-        kappa = Sigma / Sigma_cr, the shape of x; times Sigma_cr [Msun/kpc^2] it is the projected mass. The
-        value at the point itself (not a mean over a pixel); the logarithmic cusp is cut at x = `X_FLOOR`.
+    It is the value at the point itself, not a mean over a pixel; the logarithmic cusp is cut at x = `X_FLOOR`.
     """
-    rays_x, rays_y = _rays(x, y)
-    subhaloes = _subhaloes(center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
-    return _sum_convergences(rays_x.ravel(), rays_y.ravel(), *subhaloes).reshape(rays_x.shape)
+    rays_x, rays_y = _checked_rays(x, y)
+    return _sum_convergences(rays_x.ravel(), rays_y.ravel(), halos.checked()).reshape(rays_x.shape)
 
 
-def _rays(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
-    """The positions as contiguous float arrays of one shape, checked."""
+def _checked_rays(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Return the positions as contiguous float arrays of one shape."""
     rays_x = np.ascontiguousarray(x, dtype=np.float64)
     rays_y = np.ascontiguousarray(y, dtype=np.float64)
     if np.shape(x) != np.shape(y):
@@ -138,39 +136,9 @@ def _rays(x: npt.ArrayLike, y: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     return rays_x.reshape(np.shape(x)), rays_y.reshape(np.shape(x))
 
 
-def _subhaloes(
-    center_x: npt.ArrayLike,
-    center_y: npt.ArrayLike,
-    r_s_arcsec: npt.ArrayLike,
-    r_t_arcsec: npt.ArrayLike,
-    alpha_scale: npt.ArrayLike,
-) -> tuple[FloatArray, ...]:
-    """The parameters of the subhaloes as contiguous float arrays of one length, checked."""
-    names = ("center_x", "center_y", "r_s_arcsec", "r_t_arcsec", "alpha_scale")
-    values = (center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
-    arrays = tuple(np.ascontiguousarray(value, dtype=np.float64) for value in values)
-    shape = arrays[0].shape
-    for name, array in zip(names, arrays, strict=True):
-        if array.ndim != 1 or array.shape != shape:
-            raise ValueError(f"{name} has shape {array.shape}, expected {shape} with one axis of subhaloes")
-        lowest = {
-            "r_s_arcsec": np.nextafter(0.0, 1.0),
-            "r_t_arcsec": np.nextafter(0.0, 1.0),
-            "alpha_scale": 0.0,
-        }
-        bad = ~np.isfinite(array) | (array < lowest.get(name, -np.inf))
-        if bad.any():
-            first = int(np.argmax(bad))
-            raise ValueError(
-                f"{name}[{first}] = {array[first]} ({int(bad.sum())} of {array.size} bad); positions must "
-                "be finite, radii > 0, alpha_scale >= 0"
-            )
-    return arrays
-
-
 @njit(cache=True, error_model="numpy")
 def _mass_and_density(s: float, tau: float) -> tuple[float, float]:
-    """Projected mass m(s) = M2 / M_n inside x = sqrt(s), and dm/ds."""
+    """Return the projected mass m(s) = M2 / M_n inside x = sqrt(s), and dm/ds; Baltz et al. 2009, n = 1."""
     x = math.sqrt(s)
     w = s - 1.0
     if abs(w) < 0.01:  # through x = 1: F = 1 - w/3 + w^2/5 - ..., written as F = 1 - w * deficit
@@ -192,15 +160,14 @@ def _mass_and_density(s: float, tau: float) -> tuple[float, float]:
         + (tau2 - 1.0) * math.log(tau)
         + root * (-math.pi + (tau2 - 1.0) / tau * ell)
     )
-    density = (
-        0.5 * front * ((tau2 + 1.0) * deficit + 2.0 * f - math.pi / root + (tau2 - 1.0) / (tau * root) * ell)
-    )  # Sigma / (4 rho_s r_s); Baltz et al. 2009, n = 1
+    bracket = (tau2 + 1.0) * deficit + 2.0 * f - math.pi / root + (tau2 - 1.0) / (tau * root) * ell
+    density = 0.5 * front * bracket  # Sigma / (4 rho_s r_s)
     return mass, density
 
 
 @njit(cache=True, error_model="numpy")
-def radial_table(s_floor: float, s_last: float, tau: float) -> npt.NDArray[np.float64]:
-    """Cubic Hermite coefficients [segment, 4] of h(s) = m(s) / s, from s_floor to beyond s_last.
+def radial_table(s_floor: float, s_last: float, tau: float) -> FloatArray:
+    """Return cubic Hermite coefficients [segment, 4] of h(s) = m(s) / s, from s_floor to beyond s_last.
 
     The nodes are the numbers whose mantissa ends after `NODE_BITS` bits: evenly spaced within each factor of
     two of s, so nearly even in ln s, and the segment of a ray is read off the bits of s without a logarithm.
@@ -225,8 +192,8 @@ def radial_table(s_floor: float, s_last: float, tau: float) -> npt.NDArray[np.fl
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def read_table(flat: npt.NDArray[np.float64], first: int, s: float) -> float:
-    """h(s) of the table [4 n_segments], flattened, whose first segment has the number `first`.
+def read_table(flat: FloatArray, first: int, s: float) -> float:
+    """Return h(s) of the flattened table [4 n_segments], whose first segment has the number `first`.
 
     The place within the segment is the mantissa below the segment's bits, read as a number in [1, 2).
     """
@@ -237,20 +204,13 @@ def read_table(flat: npt.NDArray[np.float64], first: int, s: float) -> float:
 
 
 @njit(cache=True, fastmath={"contract"}, error_model="numpy")
-def _sum_deflections(
-    x: npt.NDArray[np.float64],
-    y: npt.NDArray[np.float64],
-    center_x: npt.NDArray[np.float64],
-    center_y: npt.NDArray[np.float64],
-    r_s: npt.NDArray[np.float64],
-    r_t: npt.NDArray[np.float64],
-    alpha_scale: npt.NDArray[np.float64],
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Deflections (x, y) of flat rays; one table per subhalo, read by all rays.
+def _sum_deflections(x: FloatArray, y: FloatArray, halos: TnfwHalos) -> tuple[FloatArray, FloatArray]:
+    """Sum the deflections (x, y) at flat rays; one table per halo is read by all rays.
 
-    Rays go in blocks and a block in four loops, of which all but the one that reads the table are vector
-    operations; it is `read_table`, taken apart.
+    Rays go in blocks and a block in four loops: `read_table`, split so that all loops but the one that reads the
+    table are vector operations.
     """
+    center_x, center_y, r_s, r_t, alpha_scale = halos
     alpha_x = np.zeros(x.size)
     alpha_y = np.zeros(x.size)
     if x.size == 0:
@@ -288,16 +248,9 @@ def _sum_deflections(
 
 
 @njit(cache=True, error_model="numpy")
-def _sum_convergences(
-    x: npt.NDArray[np.float64],
-    y: npt.NDArray[np.float64],
-    center_x: npt.NDArray[np.float64],
-    center_y: npt.NDArray[np.float64],
-    r_s: npt.NDArray[np.float64],
-    r_t: npt.NDArray[np.float64],
-    alpha_scale: npt.NDArray[np.float64],
-) -> npt.NDArray[np.float64]:
-    """Convergence at flat positions, from the exact formula."""
+def _sum_convergences(x: FloatArray, y: FloatArray, halos: TnfwHalos) -> FloatArray:
+    """Sum the convergences at flat positions, from the exact formula."""
+    center_x, center_y, r_s, r_t, alpha_scale = halos
     kappa = np.zeros(x.size)
     for k in range(center_x.size):
         tau = r_t[k] / r_s[k]

@@ -1,11 +1,11 @@
 """High-pass filters that keep only what substructure adds to the deflection on small scales.
 
-Each takes off a smoothed deflection. `gaussian` is the paper's; `starlet` and `median_wavelet` sum the finest
+Each subtracts a smoothed deflection. `gaussian` is the paper's; `starlet` and `median_wavelet` sum the finest
 scales of a multiresolution transform, which is the field less its last smoothing. They smooth on discrete scales
 only. To lowest order every smoothing adds sigma^2 / 2 times the Laplacian, with sigma^2 the variance of its
-windows, so the number of scales is the one whose sigma is nearest in ratio to that of the Gaussian
+windows. The number of scales is therefore the one whose sigma is nearest in ratio to that of the Gaussian
 (`effective_sigma_pixels`). For a median this holds where the field is level; on a slope only the curvature
-across the slope counts, and it takes off less.
+across the slope counts, and the median subtracts less.
 
 References: Birrer+2017 sec. 3.2 and its footnote; Starck, Fadili & Murtagh 2007 (starlet); Starck, Murtagh &
 Bijaoui 1998 (multiresolution median transform).
@@ -31,22 +31,10 @@ _MEDIAN_STARTS = (1, 2, 3)  # half-widths of the first median window; the next a
 
 
 def margin_pixels(sigma_arcsec: float, pixel_scale: float, kind: FilterKind = "gaussian") -> int:
-    """Pixels to add on every side of a field so that its crop is free of edge effects.
+    """Return the number of pixels to add on every side of a field so that its crop is free of edge effects.
 
-    Parameters
-    ----------
-    sigma_arcsec
-        Standard deviation of the Gaussian [arcsec].
-    pixel_scale
-        Side of a pixel [arcsec].
-    kind
-        Filter, see `high_pass`.
-
-    Returns
-    -------
-    margin
-        How far the filter sees: the radius of the Gaussian, which is cut at `TRUNCATE_SIGMA` standard
-        deviations, or the sum of the half-widths of all windows.
+    It is the reach of the filter: the radius of the Gaussian, which is cut at `TRUNCATE_SIGMA` standard
+    deviations, or the sum of the half-widths of all windows. Parameters as in `high_pass`.
     """
     sigma = _in_pixels(sigma_arcsec, pixel_scale, kind)
     if kind == "gaussian":
@@ -57,7 +45,7 @@ def margin_pixels(sigma_arcsec: float, pixel_scale: float, kind: FilterKind = "g
 
 
 def effective_sigma_pixels(sigma_arcsec: float, pixel_scale: float, kind: FilterKind) -> float:
-    """Standard deviation [pixel] of the smoothing that filter `kind` takes off for the given Gaussian's."""
+    """Return the standard deviation [pixel] of the smoothing that filter `kind` subtracts for that Gaussian."""
     sigma = _in_pixels(sigma_arcsec, pixel_scale, kind)
     if kind == "gaussian":
         return sigma
@@ -69,7 +57,7 @@ def effective_sigma_pixels(sigma_arcsec: float, pixel_scale: float, kind: Filter
 def high_pass(
     deflection: FloatArray, sigma_arcsec: float, pixel_scale: float, kind: FilterKind = "gaussian"
 ) -> FloatArray:
-    """Deflection minus its smoothed self.
+    """Subtract the smoothed deflection from the deflection.
 
     Parameters
     ----------
@@ -84,11 +72,10 @@ def high_pass(
         transform with the B3 spline up to the matching scale. "median_wavelet": the multiresolution median
         transform up to the matching scale; it is not linear.
 
-    Returns
-    -------
-    filtered
-        The shape of `deflection` [arcsec]. Within `margin_pixels` of the edge it depends on what lies beyond
-        (there the last pixel is repeated): pass a padded field and `crop` it.
+    Notes
+    -----
+    Within `margin_pixels` of the edge the result depends on what lies beyond, where the last pixel is repeated:
+    pass a padded field and `crop` it.
 
     Reference: Birrer+2017 sec. 3.2, Delta alpha_dm = alpha_dm - alpha_dm * g(phi_min), and its footnote.
     """
@@ -106,7 +93,7 @@ def high_pass(
 
 
 def crop(field: FloatArray, margin: int) -> FloatArray:
-    """The field [..., ny, nx] without `margin` pixels on every side; undoes `PixelGrid.padded`."""
+    """Return the field [..., ny, nx] without `margin` pixels on every side; undoes `PixelGrid.padded`."""
     ny, nx = field.shape[-2:]
     if margin < 0 or 2 * margin >= min(ny, nx):
         raise ValueError(f"margin must be >= 0 and leave a pixel of the {ny} x {nx} field, got {margin}")
@@ -124,7 +111,7 @@ def _in_pixels(sigma_arcsec: float, pixel_scale: float, kind: FilterKind) -> flo
 
 
 def _starlet_steps(sigma: float) -> list[int]:
-    """Distances [pixel] of the spline's taps, one a scale: 1, 2, 4, ... up to what is nearest to sigma [pixel]."""
+    """Return the distances of the spline's taps per scale, 1, 2, 4, ..., for a width nearest to sigma [pixel]."""
     candidates = [[2**j for j in range(n)] for n in range(1, _MAX_SCALES + 1)]
     return _nearest(candidates, [_starlet_sigma(steps) for steps in candidates], sigma)
 
@@ -134,7 +121,7 @@ def _starlet_sigma(steps: Sequence[int]) -> float:
 
 
 def _starlet_smooth(field: FloatArray, steps: Sequence[int]) -> FloatArray:
-    """Last smoothing c_J of the transform a trous: c_(j+1) = h_j * c_j, h_j the B3 spline with 2^j - 1 holes."""
+    """Return the last a-trous smoothing: c_(j+1) = h_j * c_j, with h_j the B3 spline with 2^j - 1 holes."""
     for step in steps:
         kernel = np.zeros(4 * step + 1)
         kernel[::step] = _B3_SPLINE
@@ -144,7 +131,7 @@ def _starlet_smooth(field: FloatArray, steps: Sequence[int]) -> FloatArray:
 
 
 def _median_half_widths(sigma: float) -> list[int]:
-    """Half-widths [pixel] of the median windows: s, 2 s, 4 s, ... with s and number nearest to sigma [pixel]."""
+    """Return the half-widths of the median windows, s, 2 s, 4 s, ..., for a width nearest to sigma [pixel]."""
     candidates = [[s * 2**j for j in range(n)] for n in range(1, _MAX_SCALES + 1) for s in _MEDIAN_STARTS]
     return _nearest(candidates, [_median_sigma(widths) for widths in candidates], sigma)
 
@@ -154,17 +141,17 @@ def _median_sigma(half_widths: Sequence[int]) -> float:
 
 
 def _median_smooth(field: FloatArray, half_widths: Sequence[int]) -> FloatArray:
-    """Last smoothing of the multiresolution median transform: c_(j+1) = med(c_j; 2 s_j + 1), s_(j+1) = 2 s_j."""
+    """Return the last smoothing of the median transform: c_(j+1) = med(c_j; 2 s_j + 1), s_(j+1) = 2 s_j."""
     for s in half_widths:
         field = ndimage.median_filter(field, size=2 * s + 1, axes=(-2, -1), mode="nearest")
     return field
 
 
 def _nearest(candidates: list[list[int]], widths: list[float], sigma: float) -> list[int]:
-    """The candidate whose width is nearest in ratio to sigma [pixel]."""
+    """Return the candidate whose width is nearest in ratio to sigma [pixel]."""
     if not widths[0] / math.sqrt(2.0) <= sigma <= widths[-1]:
         raise ValueError(
             f"deflections.filter_arcsec is {sigma:.3g} pixels, the scales of this filter are {widths[0]:.3g} to "
             f"{widths[-1]:.3g} pixels wide; change filter_arcsec, or use deflections.filter: gaussian"
         )
-    return min(zip(widths, candidates, strict=True), key=lambda item: abs(math.log(item[0] / sigma)))[1]
+    return candidates[int(np.argmin([abs(math.log(width / sigma)) for width in widths]))]

@@ -1,4 +1,4 @@
-"""Images of a point source: the lens equation solved on a deflection that is known at the pixels."""
+"""Images of a point source: the lens equation solved on a deflection that is given at the pixels."""
 
 from __future__ import annotations
 
@@ -14,15 +14,7 @@ MAX_ITERATIONS = 100
 
 
 class DeflectionField:
-    """A deflection between the pixel centres, by its interpolating cubic spline.
-
-    Parameters
-    ----------
-    deflection
-        At the pixel centres, [2, ny, nx] (x, y) [arcsec].
-    grid
-        Pixels.
-    """
+    """Deflection (x, y) [2, ny, nx] [arcsec] at the pixel centres, interpolated with a cubic spline."""
 
     def __init__(self, deflection: FloatArray, grid: PixelGrid) -> None:
         if deflection.shape != (2, *grid.shape):
@@ -33,7 +25,7 @@ class DeflectionField:
         ]
 
     def lens(self, positions: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Source positions [n, 2] of sky positions [n, 2] [arcsec], and d source / d sky [n, 2, 2].
+        """Return source positions [n, 2] of sky positions [n, 2] [arcsec], and d source / d sky [n, 2, 2].
 
         Raises
         ------
@@ -52,32 +44,20 @@ class DeflectionField:
             ],
             axis=1,
         )
-        # the axes are orthonormal: d (column, row) / d sky is their transpose over the pixel scale
+        # the axes are orthonormal, so d (column, row) / d sky is their transpose over the pixel scale
         jacobian = np.eye(2) - along @ np.array(self.grid.axes).T / self.grid.pixel_scale
         return positions - alpha, jacobian
 
 
 def solve_images(field: DeflectionField, source: FloatArray, start: FloatArray) -> FloatArray:
-    """Images of one source position, each by Newton's method from its own start.
+    """Find the images [n, 2] of a source position [2] by Newton's method from sky positions [n, 2] [arcsec].
 
-    Parameters
-    ----------
-    field
-        The whole deflection.
-    source
-        Source position [2] [arcsec].
-    start
-        Sky positions to start from, [n, 2] [arcsec].
-
-    Returns
-    -------
-    images
-        [n, 2] [arcsec], where theta - alpha(theta) is the source position to `TOLERANCE_ARCSEC`.
+    At an image, theta - alpha(theta) is the source position to `TOLERANCE_ARCSEC`.
 
     Raises
     ------
     ArithmeticError
-        If an image does not converge, or is not the one that it started as: its parity changed.
+        If an image does not converge, or its parity changed: then it is another image.
     ValueError
         If an image leaves the field.
     """
@@ -85,18 +65,18 @@ def solve_images(field: DeflectionField, source: FloatArray, start: FloatArray) 
     traced, jacobian = field.lens(images)
     parity = np.sign(np.linalg.det(jacobian))
     for _ in range(MAX_ITERATIONS):
-        missing = source - traced
-        if np.abs(missing).max() < TOLERANCE_ARCSEC:
+        offset = source - traced
+        if np.abs(offset).max() < TOLERANCE_ARCSEC:
             break
-        step = np.linalg.solve(jacobian, missing[:, :, None])[:, :, 0]
+        step = np.linalg.solve(jacobian, offset[:, :, None])[:, :, 0]
         length = np.linalg.norm(step, axis=1, keepdims=True)
         images += step * np.minimum(1.0, MAX_STEP_ARCSEC / np.maximum(length, np.finfo(np.float64).tiny))
         traced, jacobian = field.lens(images)
     else:
-        worst = int(np.argmax(np.abs(missing).max(axis=1)))
+        worst = int(np.argmax(np.abs(offset).max(axis=1)))
         raise ArithmeticError(
             f"point-source image {worst} did not converge in {MAX_ITERATIONS} steps from "
-            f"{start[worst].tolist()}: {np.abs(missing[worst]).max():.2e} arcsec are left in the source plane"
+            f"{start[worst].tolist()}: {np.abs(offset[worst]).max():.2e} arcsec are left in the source plane"
         )
     changed = np.sign(np.linalg.det(jacobian)) != parity
     if changed.any():
@@ -109,21 +89,11 @@ def solve_images(field: DeflectionField, source: FloatArray, start: FloatArray) 
 
 
 def moved_images(smooth: DeflectionField, perturbed: DeflectionField, observed: FloatArray) -> FloatArray:
-    """Where a perturbation of the lens moves the observed images of a point source.
+    """Return the positions [n, 2] [arcsec] to which a perturbation of the lens moves observed images [n, 2].
 
-    Parameters
-    ----------
-    smooth, perturbed
-        The deflection without and with the perturbation.
-    observed
-        Sky positions [n, 2] [arcsec].
-
-    Returns
-    -------
-    images
-        [n, 2] [arcsec]. The source is the mean of the observed images traced through the smooth lens. Its images
-        in the smooth lens differ from the observed ones by what that lens misses; this difference is kept, so
-        that without a perturbation the images are the observed ones.
+    The source is the mean of the observed images traced through the smooth lens. Its images in the smooth lens
+    differ from the observed ones, since that lens is imperfect. This difference is kept, so that without a
+    perturbation the images are the observed ones.
     """
     source = smooth.lens(observed)[0].mean(axis=0)
     unperturbed = solve_images(smooth, source, observed)

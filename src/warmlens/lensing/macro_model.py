@@ -12,19 +12,16 @@ from warmlens.types import FloatArray
 
 
 def deflection(
-    lens_model_list: Sequence[str],
-    kwargs_lens: Sequence[Mapping[str, Any]],
-    x: FloatArray,
-    y: FloatArray,
+    lens_model_list: Sequence[str], kwargs_lens: Sequence[Mapping[str, Any]], x: FloatArray, y: FloatArray
 ) -> FloatArray:
-    """Deflection [2, ...] (x, y) [arcsec] of a lenstronomy lens at positions [arcsec] of any shape.
+    """Return the deflection [2, ...] (x, y) [arcsec] of a lenstronomy lens at positions [arcsec] of any shape.
 
     Raises
     ------
     ValueError
         If a model or one of its arguments is unknown to lenstronomy, or the deflection is not finite.
     """
-    from lenstronomy.LensModel.lens_model import LensModel
+    from lenstronomy.LensModel.lens_model import LensModel  # slow to import
 
     try:
         model = LensModel(list(lens_model_list))
@@ -48,14 +45,14 @@ def lens_light(
     x: FloatArray,
     y: FloatArray,
 ) -> FloatArray:
-    """Surface brightness [component, ...] of each light component for amplitude 1, per square arcsec.
+    """Return the surface brightness [component, ...] of each light component for amplitude 1, per square arcsec.
 
     Raises
     ------
     ValueError
         If a model or one of its arguments is unknown to lenstronomy.
     """
-    from lenstronomy.LightModel.light_model import LightModel
+    from lenstronomy.LightModel.light_model import LightModel  # slow to import
 
     components = []
     for name, kwargs in zip(lens_light_model_list, kwargs_lens_light, strict=True):
@@ -75,7 +72,7 @@ def light_images(
     grid: PixelGrid,
     supersampling: int,
 ) -> FloatArray:
-    """Light per pixel of each component for amplitude 1, before the PSF [component, ny, nx]."""
+    """Return the light per pixel of each component for amplitude 1, before the PSF [component, ny, nx]."""
     x, y = grid.subpixel_coordinates(supersampling)
     light = lens_light(lens_light_model_list, kwargs_lens_light, x, y)
     return light.mean(axis=-1).reshape(len(light), *grid.shape) * grid.pixel_scale**2

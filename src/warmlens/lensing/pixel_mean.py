@@ -1,85 +1,72 @@
-"""Deflection of subhaloes as the pixels of an image see it.
+"""Deflection of halos as the pixels of an image see it.
 
-One ray a pixel carries the pixel's light, so what is wanted of a pixel is its mean deflection: to first order
-in the source's gradient that gives the pixel's mean brightness. The value at the centre is that mean wherever
-the deflection is smooth over a pixel; about a halo narrower than a pixel it is not, and there the mean is taken
-over sub-pixels. Away from the halo both agree again (outside of it the deflection is harmonic, and the mean of a
-harmonic function is its value at the centre), so that a few pixels about each such halo are enough.
+One ray per pixel carries the light of the pixel, so a pixel needs its mean deflection: to first order in the
+gradient of the source that gives its mean brightness. Where the deflection is smooth over a pixel, the value at
+the centre is the mean. About a halo narrower than a pixel it is not, and there the mean is taken over sub-pixels.
+Away from the halo both agree again: the deflection is harmonic there, and the mean of a harmonic function is its
+value at the centre. A few pixels about each such halo are therefore enough.
 """
 
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from warmlens.imaging.grid import PixelGrid
-from warmlens.lensing.deflection import SEGMENT_SHIFT, X_FLOOR, radial_table, read_table, tnfw_deflection
+from warmlens.lensing.deflection import (
+    SEGMENT_SHIFT,
+    X_FLOOR,
+    TnfwHalos,
+    radial_table,
+    read_table,
+    tnfw_deflection,
+)
 from warmlens.types import BoolArray, FloatArray
 
 SUB_PIXELS = 7  # along a side of a pixel: the mean is within 1% of the halo's largest deflection
 REACH_PIXELS = 6  # on every side of the pixel that holds the halo
 
 
-def pixel_deflection(
-    grid: PixelGrid,
-    center_x: FloatArray,
-    center_y: FloatArray,
-    r_s_arcsec: FloatArray,
-    r_t_arcsec: FloatArray,
-    alpha_scale: FloatArray,
-) -> FloatArray:
-    """Sum of the deflections of all subhaloes at each pixel.
+def pixel_deflection(grid: PixelGrid, halos: TnfwHalos) -> FloatArray:
+    """Return the summed deflection (alpha_x, alpha_y) of all halos at each pixel, [2, ny, nx] [arcsec].
 
-    Parameters
-    ----------
-    grid
-        Pixels.
-    center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale
-        Subhaloes, each [n], as in `tnfw_deflection`.
-
-    Returns
-    -------
-    deflection
-        (alpha_x, alpha_y) [arcsec], [2, ny, nx]: at the pixel centres, and for haloes `narrower_than_pixel`
-        the mean over `SUB_PIXELS`**2 sub-pixels, up to `REACH_PIXELS` from them.
+    It is the value at the pixel centre. Up to `REACH_PIXELS` from halos `narrower_than_pixel` it is their mean
+    over `SUB_PIXELS`**2 sub-pixels.
     """
-    subhaloes = (center_x, center_y, r_s_arcsec, r_t_arcsec, alpha_scale)
-    alpha = tnfw_deflection(*grid.coordinates(), *subhaloes)
-    narrow = narrower_than_pixel(grid, r_s_arcsec, r_t_arcsec)
+    alpha = tnfw_deflection(*grid.coordinates(), halos)
+    narrow = narrower_than_pixel(grid, halos)
     if not narrow.any():
         return alpha
-    x, y, r_s, r_t, scale = (np.ascontiguousarray(value, dtype=np.float64)[narrow] for value in subhaloes)
+    x, y, r_s, r_t, scale = (array[narrow] for array in halos)
     columns, rows = grid.to_pixel(x, y)
-    along_columns, along_rows = _mean_minus_centre(
-        grid.ny, grid.nx, grid.pixel_scale, columns, rows, r_s, r_t, scale
-    )
+    along_columns, along_rows = _mean_minus_centre(grid.shape, grid.pixel_scale, columns, rows, r_s, r_t, scale)
     (xx, xy), (yx, yy) = grid.axes
     alpha[0] += xx * along_columns + xy * along_rows
     alpha[1] += yx * along_columns + yy * along_rows
     return alpha
 
 
-def narrower_than_pixel(grid: PixelGrid, r_s_arcsec: FloatArray, r_t_arcsec: FloatArray) -> BoolArray:
-    """Which haloes have a scale or a truncation radius below the side of a pixel, [n]."""
-    return np.minimum(r_s_arcsec, r_t_arcsec) < grid.pixel_scale
+def narrower_than_pixel(grid: PixelGrid, halos: TnfwHalos) -> BoolArray:
+    """Return which halos have a scale or a truncation radius below the side of a pixel, [n]."""
+    return np.minimum(halos.r_s_arcsec, halos.r_t_arcsec) < grid.pixel_scale
 
 
 @njit(cache=True, error_model="numpy")
 def _mean_minus_centre(
-    ny: int,
-    nx: int,
+    shape: tuple[int, int],
     pixel_scale: float,
-    column: npt.NDArray[np.float64],
-    row: npt.NDArray[np.float64],
-    r_s: npt.NDArray[np.float64],
-    r_t: npt.NDArray[np.float64],
-    alpha_scale: npt.NDArray[np.float64],
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Mean over the pixel less the value at its centre [ny, nx], of haloes at fractional pixels (column, row).
+    column: FloatArray,
+    row: FloatArray,
+    r_s: FloatArray,
+    r_t: FloatArray,
+    alpha_scale: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the mean over each pixel less the value at its centre [ny, nx], summed over halos.
 
-    Components along the columns and the rows of the image [arcsec].
+    Halos lie at fractional pixels (column, row). The components are along the columns and the rows of the image
+    [arcsec].
     """
+    ny, nx = shape
     along_columns = np.zeros((ny, nx))
     along_rows = np.zeros((ny, nx))
     offset = (np.arange(SUB_PIXELS) + 0.5) / SUB_PIXELS - 0.5

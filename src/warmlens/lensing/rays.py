@@ -11,14 +11,10 @@ from warmlens.types import FloatArray
 
 @dataclass(frozen=True)
 class SmoothRays:
-    """Where the smooth lens model sends the ray of every sub-pixel.
+    """Rays of all sub-pixels through the smooth lens model, each [npix, s2] [arcsec].
 
-    Attributes
-    ----------
-    theta_x, theta_y
-        Positions on the sky [arcsec], [npix, s2] (`PixelGrid.subpixel_coordinates`).
-    source_x, source_y
-        Positions in the source plane, theta - alpha_smooth(theta) [arcsec], [npix, s2].
+    They go from theta on the sky (`PixelGrid.subpixel_coordinates`) to theta - alpha_smooth(theta) in the source
+    plane.
     """
 
     theta_x: FloatArray
