@@ -9,8 +9,8 @@ Words are texts, or names of texts in the same file. The methods of the fixture 
 it for the document; tests assert everything else as usual. Tests with the same words share a row.
 
 Without `quick=True` a test is skipped unless `WARMLENS_TEST_FAULTS=1` (`make reliability`) is set. This also
-writes the rows of all faults that ran to the document. Other rows stay, so that those of tests/slurm can be written
-where there is a Slurm.
+writes the rows of all faults that ran to the document. Other rows stay, so that those of tests/slurm can be
+written where there is a Slurm.
 """
 
 from __future__ import annotations

@@ -199,7 +199,7 @@ def test_what_it_says_helps(
         damage(path)
         path.touch()
     assert run_and_delete_what_is_named(project, 20) > 0
-    outcome.same_digests(project.digests(), finished.digests(), lost="the damaged files, recomputed", after=DELETED)
+    outcome.same_digests(project.digests(), finished.digests(), lost="damaged files, recomputed", after=DELETED)
 
 
 @fault(
@@ -221,7 +221,7 @@ def test_what_audit_finds(copy_of: CopyOf, finished: Project, outcome: Outcome) 
         path.unlink()
     project.snakemake()
     assert project.warmlens("audit", "results/tiny").returncode == 0
-    outcome.same_digests(project.digests(), finished.digests(), lost="the damaged files, recomputed", after=DELETED)
+    outcome.same_digests(project.digests(), finished.digests(), lost="damaged files, recomputed", after=DELETED)
 
 
 @fault("Artifacts", "an artifact of every stage is deleted", "rm, then started again")
@@ -231,7 +231,7 @@ def test_deleted(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
     for stage in STAGES:
         artifact_of(config, stage).unlink()
     project.snakemake()
-    outcome.same_digests(project.digests(), finished.digests(), lost="the deleted files, recomputed")
+    outcome.same_digests(project.digests(), finished.digests(), lost="deleted files, recomputed")
 
 
 @fault("Artifacts", "two chunks of every stage are swapped", "mv, then started again")
@@ -243,7 +243,7 @@ def test_swapped(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
         first.touch()
         second.touch()
     assert run_and_delete_what_is_named(project, 20) > 0
-    outcome.same_digests(project.digests(), finished.digests(), lost="the swapped files, recomputed", after=DELETED)
+    outcome.same_digests(project.digests(), finished.digests(), lost="swapped files, recomputed", after=DELETED)
 
 
 @fault("Origin", "an artifact of another seed is put in place", "halos of another seed, then started again")
