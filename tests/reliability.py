@@ -1,15 +1,16 @@
-"""Faults: a test of one says in words what it injects and what came of it, and docs/reliability.md lists them.
+"""Faults: a test says in words what it injects and what it saw; docs/reliability.md lists the words.
 
     @fault("Processes", "a job is killed", "SIGKILL to a stage at work")
     def test_killed_job(project: Project, outcome: Outcome) -> None:
         ...
         outcome.same_digests(project.digests(), finished.digests(), lost="the job in flight")
 
-Words are texts, or names of texts in the same file. `outcome` is a fixture; its methods check and remember, what a
-test must see besides it asserts as ever. Tests of the same words share a row. Without `quick=True` a test is
-skipped unless it is asked for by `WARMLENS_TEST_FAULTS=1` (`make reliability`), which also writes the rows of all
-faults that ran to the document: rows of others stay, so that those of tests/slurm can be written where there is a
-Slurm.
+Words are texts, or names of texts in the same file. The methods of the fixture `outcome` check a result and record
+it for the document; tests assert everything else as usual. Tests with the same words share a row.
+
+Without `quick=True` a test is skipped unless `WARMLENS_TEST_FAULTS=1` (`make reliability`) is set. This also
+writes the rows of all faults that ran to the document. Other rows stay, so that those of tests/slurm can be
+written where there is a Slurm.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _ASKED = "WARMLENS_TEST_FAULTS"
 
 @dataclass(frozen=True)
 class Fault:
-    """Words of a fault: the table it stands in, what it is, how it is injected."""
+    """Words of a fault: its table, what it is, how it is injected."""
 
     group: str
     what: str
@@ -51,23 +52,23 @@ class Outcome:
     def same_digests(
         self, found: Mapping[str, str], expected: Mapping[str, str], lost: str = NOTHING, after: str = ""
     ) -> None:
-        """The campaign ended with the artifacts of an undisturbed one; `after` says what had to be done for it."""
+        """Record that the campaign ended with the artifacts of an undisturbed one, after the action `after`."""
         assert found == expected
         self.remember(f"{after}: {SAME}" if after else SAME, lost)
 
     def stops(self, said: str, *words: str, lost: str = NOTHING) -> None:
-        """The program refused to go on: `said` has all `words`, of which the first is the row's."""
+        """Record that the program refused to go on: `said` has all `words`, the first of which is for the row."""
         text = " ".join(said.split())
         for word in words:
             assert word in text, f"expected {word!r} in:\n{said}"
         self.remember(f"{STOPS}: “{words[0]}”", lost)
 
     def goes_on(self, result: str, lost: str) -> None:
-        """The campaign ended right, but not as an undisturbed one: `result` says how."""
+        """Record that the campaign ended correctly, but not as an undisturbed one: `result` describes how."""
         self.remember(result, lost)
 
     def remember(self, result: str, lost: str) -> None:
-        """Add what was seen, unless it is there."""
+        """Add what was seen, once."""
         if (result, lost) not in self.seen:
             self.seen.append((result, lost))
 
@@ -86,14 +87,14 @@ def fault(group: str, what: str, how: str, *, quick: bool = False) -> pytest.Mar
 
 @pytest.fixture
 def outcome(request: pytest.FixtureRequest) -> Iterator[Outcome]:
-    """Where a test of a fault writes down what came of it."""
-    found = Outcome()
-    yield found
-    request.node.user_properties.append(("outcome", found.seen))
+    """Record of what a test of a fault saw."""
+    record = Outcome()
+    yield record
+    request.node.user_properties.append(("outcome", record.seen))
 
 
 class Recorder:
-    """Pytest plugin: skips what takes long unless asked for, and writes what the tests saw to the document."""
+    """Pytest plugin: skip long tests unless asked for, and write what the tests saw to the document."""
 
     def __init__(self) -> None:
         self._seen: dict[Fault, Outcome] = {}
@@ -130,8 +131,8 @@ class Recorder:
 
 
 def declared() -> list[Fault]:
-    """All faults that the tests of the repository declare, those that cannot run here too."""
-    found: dict[Fault, None] = {}
+    """Return all faults that the tests of the repository declare, also those that cannot run here."""
+    faults: dict[Fault, None] = {}
     for path in sorted((ROOT / "tests").rglob("test_*.py")):
         tree = ast.parse(path.read_text())
         texts = {
@@ -143,13 +144,13 @@ def declared() -> list[Fault]:
         }
         for node in ast.walk(tree):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "fault":
-                words = (texts[item.id] if isinstance(item, ast.Name) else item.value for item in node.args)
-                found[Fault(*words)] = None
-    return list(found)
+                words = (texts[arg.id] if isinstance(arg, ast.Name) else arg.value for arg in node.args)
+                faults[Fault(*words)] = None
+    return list(faults)
 
 
 def read_rows(text: str) -> dict[Fault, tuple[str, str]]:
-    """Result and data lost of every fault in the document."""
+    """Return result and data lost of every fault in the document."""
     rows: dict[Fault, tuple[str, str]] = {}
     group = ""
     for line in text.splitlines():
@@ -162,16 +163,16 @@ def read_rows(text: str) -> dict[Fault, tuple[str, str]]:
 
 
 def with_rows(text: str, seen: Mapping[Fault, Outcome]) -> str:
-    """The document with the rows of `seen` replaced or added, and those of no declared fault removed."""
-    known = declared()
-    rows = {words: row for words, row in read_rows(text).items() if words in known}
-    rows |= {words: item.row for words, item in seen.items() if item.seen}
+    """Replace or add the rows of `seen` in the document, and remove those of no declared fault."""
+    faults = declared()
+    rows = {words: row for words, row in read_rows(text).items() if words in faults}
+    rows |= {words: outcome.row for words, outcome in seen.items() if outcome.seen}
     introduction, _, _ = text.partition("\n## ")
     parts = [introduction.rstrip() + "\n"]
     for group in GROUPS:
         lines = [
             f"| {words.what} | {words.how} | {' | '.join(rows[words])} |"
-            for words in known
+            for words in faults
             if words.group == group and words in rows
         ]
         if lines:

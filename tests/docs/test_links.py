@@ -1,11 +1,14 @@
-"""Every relative link of every document leads to a file, and to a heading in it; the index names all documents."""
+"""Links, paths, modules and keys that the documents name exist; the index names all documents."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
+from pkgutil import resolve_name
 
 import pytest
+
+from warmlens.config.reference import keys
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -51,8 +54,27 @@ def test_the_index_names_every_document() -> None:
     assert {path.name for path in DOCUMENTS[1:]} - {"index.md"} <= named
 
 
-def test_files_and_keys_that_the_documents_name_exist() -> None:
-    """Paths in backticks below the folders of the repository."""
+def test_files_that_the_documents_name_exist() -> None:
+    """Paths in backticks: below the folders of the repository, and modules below the package."""
     for document in DOCUMENTS:
-        for path in re.findall(r"`((?:src|tests|workflow|docs|benchmarks)/[\w./-]+\w)`", document.read_text()):
+        text = document.read_text()
+        for path in re.findall(r"`((?:src|tests|workflow|docs|benchmarks)/[\w./-]+\w)`", text):
             assert (ROOT / path).exists(), f"{document.name} names {path}"
+        for path in re.findall(r"`((?!src|tests|workflow|docs|benchmarks)\w+/[\w/]+\.py)`", text):
+            assert (ROOT / "src/warmlens" / path).exists(), f"{document.name} names {path}"
+
+
+def test_modules_that_the_documents_name_exist() -> None:
+    for document in DOCUMENTS:
+        for name in re.findall(r"(?<![\w/.-])warmlens(?:\.[a-z_]\w*)+", document.read_text()):
+            if name != "warmlens.yaml":
+                resolve_name(name)  # raises if there is none
+
+
+def test_keys_of_the_decisions_exist() -> None:
+    """Last cells of the tables: each key in backticks is a key of config.yaml or a block of keys."""
+    known = {".".join(key.path[:n]) for key in keys() for n in range(1, len(key.path) + 1)}
+    rows = re.findall(r"^\|.*\|([^|]*)\|$", (ROOT / "docs/decisions.md").read_text(), re.MULTILINE)
+    named = [name.partition(":")[0] for row in rows for name in re.findall(r"`([^`]+)`", row)]
+    assert len(named) > 50
+    assert [name for name in named if name not in known and not name.startswith("warmlens ")] == []

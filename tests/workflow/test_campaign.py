@@ -223,11 +223,11 @@ def test_invalid_configuration_stops_before_any_job(project: Project) -> None:
     assert not project.results.exists()
 
 
-@fault("Samples", "samples raise an error", "haloes below the resolution, in a whole campaign", quick=True)
+@fault("Samples", "samples raise an error", "halos below the resolution, in a whole campaign", quick=True)
 def test_failed_samples_are_carried_to_the_table_and_left_out(
     copy_of: Callable[[], Project], outcome: Outcome
 ) -> None:
-    """Haloes below twice the resolution of a very warm relic cannot be drawn: those samples fail, others go on."""
+    """Halos below twice the resolution of a very warm relic cannot be drawn: those samples fail, others go on."""
     project = copy_of()
     prior = {"m_th_kev": [0.2, 1.0], "log10_m_halo_msun": [10.0, 10.3]}
     campaign = {"chunk_size": 14}

@@ -24,7 +24,7 @@ from .damage import artifact_of, flip_arrays, swap, truncate, with_settings
 
 ABC = "results/tiny/abc.h5"
 CopyOf = Callable[[], Project]
-DELETED = "the files that it names are deleted, as it says"
+DELETED = "the files that its messages name are deleted"
 
 
 def without(project: Project, first: str) -> Project:
@@ -85,7 +85,7 @@ def test_killed_job(copy_of: CopyOf, finished: Project, outcome: Outcome) -> Non
     outcome.same_digests(project.digests(), finished.digests(), lost="the job in flight", after="started again")
 
 
-@fault("Processes", "Snakemake is told to end, as at a wall time", "SIGTERM to Snakemake")
+@fault("Processes", "Snakemake is asked to end, as at a wall time", "SIGTERM to Snakemake")
 def test_terminated_snakemake(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
     project = without(copy_of(), "mocks")
     with running(project) as process:
@@ -201,7 +201,7 @@ def test_what_it_says_helps(
         damage(path)
         path.touch()
     assert run_and_delete_what_is_named(project, 20) > 0
-    outcome.same_digests(project.digests(), finished.digests(), lost="the damaged files, made anew", after=DELETED)
+    outcome.same_digests(project.digests(), finished.digests(), lost="damaged files, recomputed", after=DELETED)
 
 
 @fault(
@@ -223,7 +223,7 @@ def test_what_audit_finds(copy_of: CopyOf, finished: Project, outcome: Outcome) 
         path.unlink()
     project.snakemake()
     assert project.warmlens("audit", "results/tiny").returncode == 0
-    outcome.same_digests(project.digests(), finished.digests(), lost="the damaged files, made anew", after=DELETED)
+    outcome.same_digests(project.digests(), finished.digests(), lost="damaged files, recomputed", after=DELETED)
 
 
 @fault("Artifacts", "an artifact of every stage is deleted", "rm, then started again")
@@ -233,7 +233,7 @@ def test_deleted(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
     for stage in campaign_stages(config):
         artifact_of(config, stage).unlink()
     project.snakemake()
-    outcome.same_digests(project.digests(), finished.digests(), lost="the deleted files, made anew")
+    outcome.same_digests(project.digests(), finished.digests(), lost="deleted files, recomputed")
 
 
 @fault("Artifacts", "two chunks of every stage are swapped", "mv, then started again")
@@ -245,7 +245,7 @@ def test_swapped(copy_of: CopyOf, finished: Project, outcome: Outcome) -> None:
         first.touch()
         second.touch()
     assert run_and_delete_what_is_named(project, 20) > 0
-    outcome.same_digests(project.digests(), finished.digests(), lost="the swapped files, made anew", after=DELETED)
+    outcome.same_digests(project.digests(), finished.digests(), lost="swapped files, recomputed", after=DELETED)
 
 
 @fault("Origin", "an artifact of another seed is put in place", "halos of another seed, then started again")
