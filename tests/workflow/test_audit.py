@@ -49,7 +49,7 @@ def test_manifest_lists_every_file_as_it_is(finished: Project) -> None:
     manifest = json.loads(text)
     listed = {item["path"]: item for item in manifest["files"]}
     there = {_name(finished, path) for path in finished.results.rglob("*") if path.is_file()}
-    apart = ("logs/", "benchmarks/", "manifest.json", "ro-crate-metadata.json")
+    apart = ("logs/", "benchmarks/", "settings/", "manifest.json", "ro-crate-metadata.json")
     assert set(listed) == {name for name in there if not name.startswith(apart)}
     for name, item in listed.items():
         path = finished.results / name

@@ -1,4 +1,7 @@
-"""Collapse threshold of warm dark matter halos."""
+"""Collapse threshold of warm dark matter halos in units of that of cold ones.
+
+The constant factor 1.197 of the sharp-k filter is applied in `merger_tree.branching_table`.
+"""
 
 from __future__ import annotations
 
@@ -14,6 +17,8 @@ _X_FLOOR = -10.0
 
 def jeans_mass(m_th_kev: float, cosmology: Cosmology) -> float:
     """Return the effective Jeans mass of a spin-1/2 thermal relic at equality [Msun]; 0 for cold dark matter.
+
+    Birrer et al. 2017 call it the characteristic mass, and make it the resolution of the merger tree.
 
     Reference: Barkana et al. 2001, eq. 10.
     """

@@ -109,7 +109,8 @@ class ThermalRelic:
             return 0.049 * self.m_th_kev**-1.11 * (omega_x / 0.25) ** 0.11 * (h / 0.7) ** 1.22
         if self.transfer_function == "bode01":  # Bode et al. 2001, eq. A9, g_X = 1.5
             return 0.048 * self.m_th_kev**-1.15 * (omega_x / 0.4) ** 0.15 * (h / 0.65) ** 1.3
-        omega_h2 = omega_x * h**2  # Vogel & Abazajian 2023, spin 1/2
+        assert self.transfer_function == "vogel23"  # Vogel & Abazajian 2023, spin 1/2
+        omega_h2 = omega_x * h**2
         return 0.0437 * self.m_th_kev**-1.188 * (omega_h2 / 0.12) ** 0.2463 * (h / 0.6736) ** 2.012
 
     def transfer(self, k_hmpc: FloatArray) -> FloatArray:

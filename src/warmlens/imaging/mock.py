@@ -47,3 +47,19 @@ def lensed_image(
     """
     light = surface_brightness(sets, coefficients, source_x.ravel(), source_y.ravel())
     return convolution.forward(light.reshape(source_x.shape).mean(axis=1).reshape(convolution.shape))
+
+
+def bent_rays(rays: tuple[FloatArray, FloatArray], delta_alpha: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return source positions (x, y) [ny * nx, n_sub] [arcsec] of rays that substructure bends too.
+
+    With alpha_mock = alpha_smooth + Delta alpha (Birrer+2017 sec. 3.2) the source position of a ray moves by
+    -Delta alpha.
+
+    Parameters
+    ----------
+    rays
+        Source positions (x, y) under the smooth lens.
+    delta_alpha
+        Deflection of the substructure at the sub-pixels, [2, ny * nx, n_sub] [arcsec].
+    """
+    return rays[0] - delta_alpha[0], rays[1] - delta_alpha[1]

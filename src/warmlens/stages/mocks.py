@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from warmlens.artifacts.file import ArtifactError, Dataset
 from warmlens.imaging.grid import PixelGrid
-from warmlens.imaging.mock import lensed_image, subpixel_field
+from warmlens.imaging.mock import bent_rays, lensed_image, subpixel_field
 from warmlens.imaging.observation import Band
 from warmlens.imaging.psf import Convolution, point_source
 from warmlens.lensing.images import DeflectionField, moved_images
@@ -136,7 +136,7 @@ def noise_free_image(
     """
     fit = model.fits[band.name]
     delta = subpixel_field(delta_alpha, model.supersampling)
-    source_x, source_y = model.rays.source_x - delta[0], model.rays.source_y - delta[1]
+    source_x, source_y = bent_rays((model.rays.source_x, model.rays.source_y), delta)
     image = lensed_image(model.sets, fit.source_coefficients, source_x, source_y, convolution) + fit.fixed_image
     if quasars is None:
         return image
