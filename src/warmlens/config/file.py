@@ -37,8 +37,7 @@ def _problem(details: ErrorDetails) -> str:
             return f"{key}: missing; config.yaml shows an example"
         case "value_error":
             return f"{key}: {details['ctx']['error']}"
-    message = details["msg"]
-    return f"{key}: {message[:1].lower() + message[1:]}, got {reprlib.repr(details['input'])}"
+    return f"{key}: {details['msg'][:1].lower()}{details['msg'][1:]}, got {reprlib.repr(details['input'])}"
 
 
 def _remedy(location: tuple[int | str, ...]) -> str:
@@ -47,7 +46,8 @@ def _remedy(location: tuple[int | str, ...]) -> str:
     siblings = [
         key.path[-1]
         for key in keys()
-        if len(key.path) == len(location) and all(a in (b, BAND) for a, b in zip(key.path, parents, strict=False))
+        if len(key.path) == len(location)
+        and all(part in (parent, BAND) for part, parent in zip(key.path, parents, strict=False))
     ]
     if nearest := difflib.get_close_matches(name, siblings, n=1):
         return f"did you mean {nearest[0]}?"

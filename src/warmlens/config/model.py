@@ -208,7 +208,7 @@ class MocksBlock(Block):
     """Positions of the quasar images in the mocks."""
 
     quasar_positions: Literal["observed", "solved"] = Field(
-        "observed", description="observed: as in the observation; solved: by the perturbed lens equation"
+        default="observed", description="observed: as in the observation; solved: by the perturbed lens equation"
     )
 
 
@@ -268,7 +268,7 @@ class ScanBlock(Block):
     )
     statistics: list[Literal["delta_r", "amplitude"]] = Field(
         ["delta_r"],
-        description="[delta_r] or [delta_r, amplitude]; the latter adds score and Fisher information",
+        description="[delta_r] or [delta_r, amplitude], with score and Fisher information of the amplitude",
     )
     sensitivity: SensitivityBlock | None = None
 
@@ -319,7 +319,7 @@ class SummariesBlock(Block):
 class NullTestBlock(Block):
     """Mocks without substructure that pass through all steps and play the observation."""
 
-    n_mocks: int = Field(40, ge=0, description="Number of mocks, each as costly as a sample; 0: no null test")
+    n_mocks: int = Field(default=40, ge=0, description="Number of mocks, as costly as samples; 0: no null test")
 
 
 class AbcBlock(Block):
@@ -365,7 +365,7 @@ class Config(Block):
     observation: ObservationBlock
     smooth_model: SmoothModelBlock
     deflections: DeflectionsBlock
-    mocks: MocksBlock = MocksBlock()
+    mocks: MocksBlock = MocksBlock()  # mypy accepts the call because its default is given by keyword
     scan: ScanBlock
     summaries: SummariesBlock
     null_test: NullTestBlock = NullTestBlock()

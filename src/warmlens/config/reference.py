@@ -134,7 +134,7 @@ def with_comments(config_yaml: str) -> str:
     replaced = False
     for line in config_yaml.splitlines():
         indent = len(line) - len(line.lstrip())
-        if replaced and indent >= _CONTINUED_FROM and line[indent] == "#":
+        if replaced and indent >= _CONTINUED_FROM and line[indent:].startswith("#"):
             continue  # the rest of a comment that was replaced
         lines.append(line)
         replaced = False
