@@ -1,7 +1,7 @@
 # make demo   set up, and run the demonstration campaign to posterior, bound and figures
 # make paper  set up, and run the campaign of docs/results.md: 2,483 samples on a cold simulated observation
 # make report set up, and write RESULTS/report.html of a finished campaign (RESULTS=results/demo unless given)
-# make docs   set up, and write docs/configuration.md anew
+# make docs   set up, and rewrite docs/configuration.md, the comments of config.yaml and its JSON schema
 # make test   set up, and check style, types and behaviour
 # make test-slurm  as root: set up, install and start a Slurm of one node, and run and kill campaigns on it
 # make reliability  set up, inject every fault and write docs/reliability.md (as root with WARMLENS_TEST_SLURM=1: also
@@ -32,7 +32,7 @@ report: $(READY)
 	$(BIN)/warmlens report $(RESULTS)
 
 docs: $(READY)
-	$(BIN)/warmlens config-reference --output docs/configuration.md
+	$(BIN)/warmlens config-reference
 
 test: lint pytest
 

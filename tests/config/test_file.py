@@ -76,8 +76,8 @@ def _changed(raw: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("smooth_model.lens.kwargs_lens", [], "smooth_model.lens", "must match"),
         ("smooth_model.fit", None, "smooth_model", "mode: fit needs the block 'fit'"),
         ("smooth_model.mode", "search", "smooth_model.mode", "'given' or 'fit'"),
-        ("smooth_model.fit.levels", [10, 30, 20], "smooth_model.fit", r"levels must rise, got \[10, 30, 20\]"),
-        ("smooth_model.fit.levels", [10, 10, 20], "smooth_model.fit", "levels must rise"),
+        ("smooth_model.fit.levels", [10, 30, 20], "smooth_model.fit.levels", r"must rise .*, got \[10, 30, 20\]"),
+        ("smooth_model.fit.levels", [10, 10, 20], "smooth_model.fit.levels", "must rise"),
         ("smooth_model.fit.levels", [10, 50], "smooth_model", "must end below source.n_max = 50"),
         ("smooth_model.fit.lens_free", [{}, {}], "smooth_model", "3 entries, fit.lens_free has 2"),
         ("smooth_model.fit.lens_free", [{}, {}, {}, {}], "smooth_model", "3 entries, fit.lens_free has 4"),
@@ -114,7 +114,7 @@ def _changed(raw: dict[str, Any], key: str, value: Any) -> dict[str, Any]:
         ("smooth_model.chi2_red_range", [1.1, 0.9], "smooth_model.chi2_red_range", "must be below the upper end"),
         ("summaries.threshold", 4.0, "summaries.threshold", "less than 0"),
         ("summaries.cumulative_min", -3.0, "summaries", "must be below threshold"),
-        ("summaries.count_thresholds", [-4.0, -10.0], "summaries", "count_thresholds must rise"),
+        ("summaries.count_thresholds", [-4.0, -10.0], "summaries.count_thresholds", "must rise"),
         ("summaries.count_thresholds", [], "summaries.count_thresholds", "at least 1 item"),
         ("null_test.n_mocks", -1, "null_test.n_mocks", "greater than or equal to 0"),
         ("abc.summaries", "best", "abc.summaries", "'paper', 'sharper' or 'learned'"),
@@ -186,6 +186,24 @@ def test_branching_by_name_or_numbers(paper: dict[str, Any]) -> None:
         assert stored == (tuple(value) if isinstance(value, list) else value)
 
 
+@pytest.mark.parametrize(
+    ("key", "remedy"),
+    [
+        ("halos.min_mas_msun", "did you mean min_mass_msun?"),
+        ("halo", "did you mean halos?"),
+        ("observation.simulated.bands.F814W.wavelenght_nm", "did you mean wavelength_nm?"),
+        ("smooth_model.fit.tie_arcsecs", "did you mean tie_arcsec?"),
+        ("campaign.step_arcsec", "it belongs under scan"),
+        ("scan.abc", "it belongs at the top level"),
+        ("scan.zzz", "remove it or correct its spelling (config.yaml lists all keys)"),
+    ],
+)
+def test_an_unknown_key_is_reported_with_the_nearest_one(paper: dict[str, Any], key: str, remedy: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        parse_config(_changed(paper, key, 1))
+    assert error.value.problems == [f"{key}: unknown key; {remedy}"]
+
+
 def test_every_problem_has_its_line(paper: dict[str, Any]) -> None:
     broken = _changed(_changed(paper, "redshifts.lens", -1.0), "scan.step_arcsec", 0.0)
     del broken["abc"]["fraction"]
@@ -240,7 +258,7 @@ def test_grid_design(paper: dict[str, Any]) -> None:
             _grid(realizations=5),
             r"n_samples = 24, but the grid has 6 nodes x 5 realizations = 30; set n_samples: 30",
         ),
-        (_grid(m_th_kev=[2.0, 1.0, 5.0]), r"m_th_kev must rise from value to value"),
+        (_grid(m_th_kev=[2.0, 1.0, 5.0]), r"m_th_kev: must rise from value to value"),
         (_grid(m_th_kev=[1.0, float("nan"), 5.0]), "finite"),
         (_grid(log10_m_halo_msun=[13.0]), "at least 2 items"),
         (

@@ -152,7 +152,7 @@ VALUES: list[tuple[str, Any, str]] = [
         for value in ("a/b", "a\0", "a\n", "F814W\n", "{a}", "\u00e9")
     ),
     ("observation.bands", ["x" * 65], "at most 64 characters"),
-    ("observation.bands", ["rays"], "artifacts call something else"),
+    ("observation.bands", ["rays"], "is the name of other groups in artifacts"),
     ("campaign.n_samples", 10**30, "less than or equal to 9999999"),
     ("campaign.n_samples", 9_999_999, "at most are 10000 chunks"),
     ("campaign.chunk_size", 10**9, "less than or equal to 9999999"),

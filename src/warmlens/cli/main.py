@@ -264,13 +264,15 @@ def params(
 
 
 @app.command()
-def config_reference(output: Output) -> None:
-    """Write docs/configuration.md from the types of the configuration and the comments in config.yaml."""
+def config_reference() -> None:
+    """Rewrite comments of config.yaml, docs/configuration.md and the JSON schema from the types of the keys."""
     from warmlens.artifacts.file import atomic_path
-    from warmlens.config.reference import reference
+    from warmlens.config.reference import generated_files
 
-    with atomic_path(output) as temporary:
-        temporary.write_text(reference(Path("config.yaml").read_text()))
+    _load(None)  # an invalid config.yaml stays as it is
+    for path, text in generated_files(Path("config.yaml").read_text()).items():
+        with atomic_path(Path(path)) as temporary:
+            temporary.write_text(text)
 
 
 app.add_typer(stages.app)

@@ -1,7 +1,8 @@
-"""Reading config.yaml and its overlays, with one clear line for every problem."""
+"""Read config.yaml and its overlays; report every problem in one line."""
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
 import reprlib
@@ -11,8 +12,10 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import ValidationError
+from pydantic_core import ErrorDetails
 
 from warmlens.config.model import Config
+from warmlens.config.reference import BAND, keys
 from warmlens.config.types import Block, ConfigError, plain_path
 from warmlens.config.yaml import read_yaml
 
@@ -29,23 +32,35 @@ def parse_block(kind: type[AnyBlock], raw: Mapping[str, Any]) -> AnyBlock:
     try:
         return kind.model_validate(dict(raw))
     except ValidationError as error:
-        raise ConfigError([_problem(item) for item in error.errors()]) from None
+        raise ConfigError([_problem(details) for details in error.errors()]) from None
 
 
-def _problem(item: Mapping[str, Any]) -> str:
-    key = ".".join(str(part) for part in item["loc"]) or "config"
-    match item["type"]:
+def _problem(details: ErrorDetails) -> str:
+    key = ".".join(str(part) for part in details["loc"]) or "config"
+    match details["type"]:
         case "extra_forbidden":
-            return f"{key}: unknown key; remove it or correct its spelling (config.yaml lists all keys)"
+            return f"{key}: unknown key; {_remedy(details['loc'])}"
         case "missing":
             return f"{key}: missing; config.yaml shows an example"
         case "value_error":
-            return f"{key}: {item['ctx']['error']}"
-    return f"{key}: {_lower(item['msg'])}, got {reprlib.repr(item['input'])}"
+            return f"{key}: {details['ctx']['error']}"
+    return f"{key}: {details['msg'][:1].lower()}{details['msg'][1:]}, got {reprlib.repr(details['input'])}"
 
 
-def _lower(text: str) -> str:
-    return text[:1].lower() + text[1:]
+def _remedy(location: tuple[int | str, ...]) -> str:
+    """Suggest the nearest key of the same block, or the blocks that have this key."""
+    *parents, name = map(str, location)
+    siblings = [
+        key.path[-1]
+        for key in keys()
+        if len(key.path) == len(location)
+        and all(part in (parent, BAND) for part, parent in zip(key.path, parents, strict=False))
+    ]
+    if nearest := difflib.get_close_matches(name, siblings, n=1):
+        return f"did you mean {nearest[0]}?"
+    if blocks := [".".join(key.path[:-1]) for key in keys() if key.path[-1] == name]:
+        return "it belongs " + " or ".join(f"under {block}" if block else "at the top level" for block in blocks)
+    return "remove it or correct its spelling (config.yaml lists all keys)"
 
 
 def load_config(paths: Sequence[Path]) -> Config:
@@ -89,5 +104,5 @@ def expand_path(text: str) -> Path:
         raise ConfigError([f"{text}: {error}; write $NAME or ${{NAME}}, and $$ for a dollar sign"]) from None
     try:
         return Path(plain_path(expanded)).expanduser()
-    except (ValueError, RuntimeError) as error:  # RuntimeError: ~ of a user who is not known
+    except (ValueError, RuntimeError) as error:  # RuntimeError: ~ of an unknown user
         raise ConfigError([f"{text!r}: {error}"]) from None

@@ -1,19 +1,20 @@
-"""Typed blocks of config.yaml: every key has a type and a range; unknown or impossible values are errors."""
+"""Typed blocks of config.yaml: type, range, unit and meaning of every key; `make docs` after a change."""
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, model_validator
+from pydantic import BeforeValidator, Field, NonNegativeInt, model_validator
 
 from warmlens.config.observation import ObservationBlock
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.config.types import (
+    Ascending,
     Block,
     Finite,
     Fraction,
     Interval,
+    Negative,
     NonNegative,
     Point,
     Positive,
@@ -24,6 +25,7 @@ BRANCHING_SETS = ("pch08", "benson17", "pch_plus")
 MAX_IN_FILE_NAMES = 9_999_999  # samples and positions: names of chunks and shards have seven digits
 MAX_PORTIONS = 10_000  # chunks or shards: Snakemake needs hours for more
 MIN_STEP_ARCSEC = 1e-4
+FileNumber = Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
 
 
 def _branching(value: object) -> object:
@@ -36,19 +38,15 @@ def _branching(value: object) -> object:
 
 
 class GridBlock(Block):
-    """Nodes of a grid campaign: every relic mass with every halo mass, each realized so many times."""
+    """Nodes for design: grid, each relic mass with each halo mass (workflow/configs/pilot.yaml)."""
 
-    m_th_kev: Annotated[list[Positive], Field(min_length=2)]
-    log10_m_halo_msun: Annotated[list[Finite], Field(min_length=2)]
-    realizations: Annotated[int, Field(ge=1)]
-
-    @model_validator(mode="after")
-    def _order(self) -> GridBlock:
-        for name in ("m_th_kev", "log10_m_halo_msun"):
-            values = getattr(self, name)
-            if any(low >= high for low, high in pairwise(values)):
-                raise ValueError(f"{name} must rise from value to value, got {values}")
-        return self
+    m_th_kev: Annotated[list[Positive], Ascending] = Field(
+        min_length=2, description="Relic masses [keV], ascending"
+    )
+    log10_m_halo_msun: Annotated[list[Finite], Ascending] = Field(
+        min_length=2, description="Host masses log10(M200c / Msun), ascending"
+    )
+    realizations: int = Field(ge=1, description="Samples at each node; n_samples is nodes x realizations")
 
     @property
     def n_nodes(self) -> int:
@@ -59,10 +57,12 @@ class GridBlock(Block):
 class CampaignBlock(Block):
     """What is sampled, and in which portions."""
 
-    seed: Annotated[int, Field(ge=0)]
-    n_samples: Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
-    chunk_size: Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
-    design: Literal["prior", "grid"] = "prior"
+    seed: int = Field(ge=0, description="Root of all random streams, keyed by (seed, stage, sample, band)")
+    n_samples: FileNumber = Field(description="Number of samples; it may be raised later, nothing is recomputed")
+    chunk_size: FileNumber = Field(description="Samples per job; fix it at the start: file names hold it")
+    design: Literal["prior", "grid"] = Field(
+        "prior", description="prior: draw each sample from dark_matter; grid: use the nodes of `grid`"
+    )
     grid: GridBlock | None = None
 
     @model_validator(mode="after")
@@ -95,12 +95,12 @@ class CampaignBlock(Block):
 class CosmologyBlock(Block):
     """Flat LCDM."""
 
-    H0: Positive
-    Om0: Fraction
-    Ob0: Fraction
-    sigma8: Positive
-    ns: Positive
-    Tcmb0: Positive
+    H0: Positive = Field(description="Hubble constant [km/s/Mpc]")
+    Om0: Fraction = Field(description="Matter density over the critical density, today")
+    Ob0: Fraction = Field(description="Baryon density over the critical density, today; below Om0")
+    sigma8: Positive = Field(description="rms of the linear density contrast in spheres of 8 Mpc/h, today")
+    ns: Positive = Field(description="Spectral index of the primordial power spectrum")
+    Tcmb0: Positive = Field(description="Temperature of the CMB [K]; the paper does not give it")
 
     @model_validator(mode="after")
     def _baryons(self) -> CosmologyBlock:
@@ -112,8 +112,8 @@ class CosmologyBlock(Block):
 class RedshiftBlock(Block):
     """Redshifts of the lens and of the source."""
 
-    lens: Positive
-    source: Positive
+    lens: Positive = Field(description="Redshift of the host halo; halos along the line of sight are left out")
+    source: Positive = Field(description="Redshift of the source, behind the lens")
 
     @model_validator(mode="after")
     def _order(self) -> RedshiftBlock:
@@ -123,10 +123,10 @@ class RedshiftBlock(Block):
 
 
 class DarkMatterBlock(Block):
-    """Prior of the two parameters that are inferred."""
+    """Prior of the inferred parameters: uniform and independent."""
 
-    m_th_kev: Interval
-    log10_m_halo_msun: Interval
+    m_th_kev: Interval = Field(description="Thermal relic mass [keV]")
+    log10_m_halo_msun: Interval = Field(description="Host mass log10(M200c / Msun) at the lens, within [10, 16]")
 
     @model_validator(mode="after")
     def _ranges(self) -> DarkMatterBlock:
@@ -141,29 +141,46 @@ class DarkMatterBlock(Block):
 class HalosBlock(Block):
     """Physics of the halo realizations (docs/decisions.md explains each choice)."""
 
-    preset: Literal["paper", "calibrated", "custom"]
-    tau_dyn: Literal["paper", "jvdb16"] | None = None
-    positions: Literal["nfw_host", "nfw_infall", "orbit_infall"] | None = None
-    transfer_function: Literal["viel05", "bode01", "vogel23"]
-    field_half_width_arcsec: Positive
-    min_mass_msun: Positive
-    branching: Annotated[str | tuple[float, float, float, float], BeforeValidator(_branching)]
-    sharp_k_a: Positive
-    barrier_factor: Positive
-    stripping_amplitude: NonNegative
-    stripping_slope: Positive
-    friction_amplitude: NonNegative
-    friction_mass_slope: Finite
-    friction_circularity_slope: Finite
-    concentration: Literal["paper", "duffy08"]
-    concentration_scatter_dex: NonNegative
-    concentration_amplitude: Positive
-    concentration_mass_slope: Finite
-    concentration_redshift_slope: Finite
-    concentration_pivot_msun: Positive
-    concentration_min: Positive
-    formation_mass_cap_msun: Positive
-    z_max: Positive
+    preset: Literal["paper", "calibrated", "custom"] = Field(
+        description="paper: tau_dyn = 0.1 / H, positions: nfw_host; calibrated: tau_dyn of Jiang & van den Bosch "
+        "2016, positions: nfw_infall; custom: as given by the next two keys"
+    )
+    tau_dyn: Literal["paper", "jvdb16"] | None = Field(
+        None, description="Preset custom: dynamical time paper (0.1 / H) | jvdb16 (Jiang & van den Bosch 2016)"
+    )
+    positions: Literal["nfw_host", "nfw_infall", "orbit_infall"] | None = Field(
+        None, description="Preset custom: nfw_host (profile at the lens) | nfw_infall (at infall) | orbit_infall"
+    )
+    transfer_function: Literal["viel05", "bode01", "vogel23"] = Field(
+        description="viel05 (Viel+ 2005) | bode01 (Bode+ 2001) | vogel23 (Vogel & Abazajian 2023)"
+    )
+    field_half_width_arcsec: Positive = Field(
+        description="Subhalos are kept to this |x|, |y| [arcsec]: image half-width + 3 filter widths"
+    )
+    min_mass_msun: Positive = Field(description="Floor of the trees' resolution and of the bound mass [Msun]")
+    branching: Annotated[str | tuple[float, float, float, float], BeforeValidator(_branching)] = Field(
+        description="pch08 (Parkinson et al. 2008) | benson17 | pch_plus | [G0, gamma1, gamma2, gamma3]"
+    )
+    sharp_k_a: Positive = Field(description="k_s R of the sharp-k filter (Benson et al. 2013)")
+    barrier_factor: Positive = Field(description="Factor on the collapse barrier (Benson et al. 2013)")
+    stripping_amplitude: NonNegative = Field(description="A_ts of tidal stripping (Giocoli et al. 2008)")
+    stripping_slope: Positive = Field(description="zeta of tidal stripping (Giocoli et al. 2008)")
+    friction_amplitude: NonNegative = Field(description="A_df of dynamical friction (Boylan-Kolchin et al. 2008)")
+    friction_mass_slope: Finite = Field(description="b_df of dynamical friction")
+    friction_circularity_slope: Finite = Field(description="c_df of dynamical friction")
+    concentration: Literal["paper", "duffy08"] = Field(
+        description="paper (power law of the keys below) | duffy08 (Duffy et al. 2008, 200c, full sample)"
+    )
+    concentration_scatter_dex: NonNegative = Field(description="Log-normal scatter of the subhalos' values [dex]")
+    concentration_amplitude: Positive = Field(description="A_c of c(M, z) of cold halos")
+    concentration_mass_slope: Finite = Field(description="B_c of c(M, z) of cold halos")
+    concentration_redshift_slope: Finite = Field(description="C_c of c(M, z) of cold halos")
+    concentration_pivot_msun: Positive = Field(description="Pivot mass of c(M, z) [Msun]")
+    concentration_min: Positive = Field(description="Smallest concentration of any halo")
+    formation_mass_cap_msun: Positive = Field(
+        description="Heaviest cold halo that a warm one is mapped to [Msun] (Schneider 2015)"
+    )
+    z_max: Positive = Field(description="Redshift at which the trees end")
 
     @model_validator(mode="after")
     def _preset(self) -> HalosBlock:
@@ -176,32 +193,42 @@ class HalosBlock(Block):
 
 
 class DeflectionsBlock(Block):
-    """High-pass filter of the subhaloes' deflection, and what is deflecting."""
+    """High-pass filter of the subhalos' deflection, and what deflects."""
 
-    filter: Literal["gaussian", "starlet", "median_wavelet"]
-    filter_arcsec: Positive
-    smooth_host: bool = False
+    filter: Literal["gaussian", "starlet", "median_wavelet"] = Field(
+        description="gaussian | starlet | median_wavelet: the smooth part of the deflection is subtracted"
+    )
+    filter_arcsec: Positive = Field(
+        description="Gaussian width [arcsec], the scale of the smooth lens; others use their nearest scale"
+    )
+    smooth_host: bool = Field(False, description="Let the host's smooth NFW profile deflect too, before filtering")
 
 
 class MocksBlock(Block):
-    """Where the mocks' quasar images stand."""
+    """Positions of the quasar images in the mocks."""
 
-    quasar_positions: Literal["observed", "solved"] = "observed"
+    quasar_positions: Literal["observed", "solved"] = Field(
+        default="observed", description="observed: as in the observation; solved: by the perturbed lens equation"
+    )
 
 
 class PerturberBlock(Block):
-    """The scan's perturber: an isothermal deflection with a linear truncation."""
+    """Perturber of the scan: an isothermal deflection with a linear truncation."""
 
-    theta_e_arcsec: Positive
-    r_trunc_arcsec: Positive
+    theta_e_arcsec: Positive = Field(description="Deflection of the perturber [arcsec]")
+    r_trunc_arcsec: Positive = Field(
+        description="The deflection is constant within this radius, 0 from twice this radius on [arcsec]"
+    )
 
 
 class NestedBlock(Block):
-    """Source shapelets at each position's source point, in both fits of the scan."""
+    """Shapelets at the source point of each position, in both fits; null: none."""
 
-    n_max: Annotated[int, Field(ge=0, le=12)]
-    ridge: Positive
-    beta_range_arcsec: tuple[Positive, Positive]
+    n_max: int = Field(ge=0, le=12, description="Order of the shapelets")
+    ridge: Positive = Field(description="Gaussian prior, in units of the largest squared norm of their columns")
+    beta_range_arcsec: tuple[Positive, Positive] = Field(
+        description="Limits of their scale r_trunc / sqrt(mean magnification within r_trunc) [arcsec]"
+    )
 
     @model_validator(mode="after")
     def _range(self) -> NestedBlock:
@@ -212,16 +239,12 @@ class NestedBlock(Block):
 
 
 class SensitivityBlock(Block):
-    """Deflections for which the scan of the observation says what it would see."""
+    """Smallest perturber mass that would be seen; null: none; needs statistics: [delta_r, amplitude]."""
 
-    theta_e_arcsec: Annotated[list[Positive], Field(min_length=1)]
-    delta_r: Positive
-
-    @model_validator(mode="after")
-    def _order(self) -> SensitivityBlock:
-        if any(low >= high for low, high in pairwise(self.theta_e_arcsec)):
-            raise ValueError(f"theta_e_arcsec must rise from value to value, got {self.theta_e_arcsec}")
-        return self
+    theta_e_arcsec: Annotated[list[Positive], Ascending] = Field(
+        min_length=1, description="Deflections to test [arcsec], ascending"
+    )
+    delta_r: Positive = Field(description="-Delta R that counts as a detection")
 
 
 class ScanBlock(Block):
@@ -229,13 +252,24 @@ class ScanBlock(Block):
 
     perturber: PerturberBlock
     nested: NestedBlock | None
-    marginalise_lens: bool = False
-    step_arcsec: Positive
-    window_arcsec: tuple[Positive, Positive] | None
-    center: Point
-    shard_size: Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
-    residual_samples: list[Annotated[int, Field(ge=0)]] = Field(default=[])
-    statistics: list[Literal["delta_r", "amplitude"]] = Field(default=["delta_r"])
+    marginalise_lens: bool = Field(
+        False,
+        description="Each image has its own best lens, to first order, under the priors of the smooth fit; "
+        "false: the lens of the observation, as needed with smooth_model.mode: given",
+    )
+    step_arcsec: Positive = Field(description="Step of the raster [arcsec]")
+    window_arcsec: tuple[Positive, Positive] | None = Field(
+        description="Width and height of the scanned window [arcsec]; null: box around unmasked pixels"
+    )
+    center: Point = Field(description="Centre [x, y] of the window [arcsec]")
+    shard_size: FileNumber = Field(description="Positions per job of the operator; each reads the design, 1.4 GB")
+    residual_samples: list[NonNegativeInt] = Field(
+        [], description="Samples whose R_smooth, R_pert and R_sens are written, besides the observation's"
+    )
+    statistics: list[Literal["delta_r", "amplitude"]] = Field(
+        ["delta_r"],
+        description="[delta_r] or [delta_r, amplitude], with score and Fisher information of the amplitude",
+    )
     sensitivity: SensitivityBlock | None = None
 
     @model_validator(mode="after")
@@ -267,39 +301,47 @@ class ScanBlock(Block):
 class SummariesBlock(Block):
     """Two-point correlation function and cumulative distribution of Delta R."""
 
-    threshold: Annotated[float, Field(lt=0, allow_inf_nan=False)]
-    max_separation_arcsec: Positive
-    cumulative_min: Annotated[float, Field(lt=0, allow_inf_nan=False)]
-    cumulative_bins: Annotated[int, Field(ge=2)]
-    count_thresholds: Annotated[list[Annotated[float, Field(lt=0, allow_inf_nan=False)]], Field(min_length=1)] = (
-        Field(default=[-25.0, -10.0, -4.0])
+    threshold: Negative = Field(description="Only Delta R below this value counts")
+    max_separation_arcsec: Positive = Field(description="Largest separation of the correlation function [arcsec]")
+    cumulative_min: Negative = Field(description="Lowest Delta R of the cumulative distribution, up to threshold")
+    cumulative_bins: int = Field(ge=2, description="Number of values of the cumulative distribution")
+    count_thresholds: Annotated[list[Negative], Ascending] = Field(
+        [-25.0, -10.0, -4.0], min_length=1, description="Positions with Delta R below each are counted; ascending"
     )
 
     @model_validator(mode="after")
     def _order(self) -> SummariesBlock:
         if self.cumulative_min >= self.threshold:
             raise ValueError(f"cumulative_min {self.cumulative_min:g} must be below threshold {self.threshold:g}")
-        if any(low >= high for low, high in pairwise(self.count_thresholds)):
-            raise ValueError(f"count_thresholds must rise from value to value, got {self.count_thresholds}")
         return self
 
 
 class NullTestBlock(Block):
-    """Mocks without substructure that go through every step; 0: no null test."""
+    """Mocks without substructure that pass through all steps and play the observation."""
 
-    n_mocks: Annotated[int, Field(ge=0)] = 40
+    n_mocks: int = Field(default=40, ge=0, description="Number of mocks, as costly as samples; 0: no null test")
 
 
 class AbcBlock(Block):
     """Summaries, acceptance and bound."""
 
-    summaries: Literal["paper", "sharper", "learned"] = "paper"
-    acceptance: Literal["max_rank", "marginal_and", "scaled_sum", "correlation", "cumulative"]
-    fraction: Annotated[float, Field(gt=0, le=1)]
-    distance: Literal["integral", "whitened"] = "integral"
-    bootstrap: Annotated[int, Field(ge=100)]
-    leave_one_out: Annotated[int, Field(ge=10)] = 1000
-    max_failed_fraction: Annotated[float, Field(ge=0, lt=1)]
+    summaries: Literal["paper", "sharper", "learned"] = Field(
+        "paper",
+        description="Summaries of the headline bound; those of all sets are reported. paper: C(dr) and "
+        "cumulative distribution; sharper: linear response, chi2 and counts, with scan.statistics: "
+        "[delta_r, amplitude]; learned: regression of the parameters on all",
+    )
+    acceptance: Literal["max_rank", "marginal_and", "scaled_sum", "correlation", "cumulative"] = Field(
+        description="max_rank: both distances below one common quantile; marginal_and: each below its own; "
+        "scaled_sum: their scaled sum; correlation, cumulative: one alone"
+    )
+    fraction: float = Field(gt=0, le=1, description="Accepted fraction (marginal_and: of each distance)")
+    distance: Literal["integral", "whitened"] = Field(
+        "integral", description="integral: of the squared difference; whitened: by the covariance of the summaries"
+    )
+    bootstrap: int = Field(ge=100, description="Resampled tables for the Monte Carlo errors")
+    leave_one_out: int = Field(1000, ge=10, description="Samples that calibrate the bound; 300 are needed to pass")
+    max_failed_fraction: float = Field(ge=0, lt=1, description="Above this fraction of failures, no posterior")
 
     @model_validator(mode="after")
     def _one_distance(self) -> AbcBlock:
@@ -314,7 +356,7 @@ class AbcBlock(Block):
 class Config(Block):
     """The whole configuration of a campaign."""
 
-    results: ResultsFolder
+    results: ResultsFolder = Field(description="Folder of all artifacts of this campaign")
     campaign: CampaignBlock
     cosmology: CosmologyBlock
     redshifts: RedshiftBlock
@@ -323,7 +365,7 @@ class Config(Block):
     observation: ObservationBlock
     smooth_model: SmoothModelBlock
     deflections: DeflectionsBlock
-    mocks: MocksBlock = MocksBlock()
+    mocks: MocksBlock = MocksBlock()  # mypy accepts the call because its default is given by keyword
     scan: ScanBlock
     summaries: SummariesBlock
     null_test: NullTestBlock = NullTestBlock()

@@ -22,50 +22,55 @@ MAX_SIDE = 4096  # pixels of an image
 ImageSide = Annotated[int, Field(ge=16, le=MAX_SIDE)]
 
 
-class SimulatedBandBlock(Block):
-    """One band of the simulated observation; fluxes in e-/s."""
+def _is_none(value: object) -> bool:
+    """Keep a key that is not given out of the settings: those of campaigns from before it was added stay equal."""
+    return value is None
 
-    wavelength_nm: Positive
-    exposure_s: Positive
-    background_rms: Positive
-    sky: Finite
-    source_flux: Positive
-    clump_flux_fraction: Annotated[float, Field(ge=0, le=1)]
-    quasar_fluxes: list[NonNegative]
-    lens_light_amplitudes: list[NonNegative]
+
+class SimulatedBandBlock(Block):
+    """One band of the simulated observation."""
+
+    wavelength_nm: Positive = Field(description="Wavelength [nm], which sets the width of the PSF")
+    exposure_s: Positive = Field(description="Exposure time [s], which sets the Poisson noise")
+    background_rms: Positive = Field(description="Background noise per pixel [e-/s]")
+    sky: Finite = Field(description="Constant level of the image [e-/s per pixel]")
+    source_flux: Positive = Field(description="Unlensed flux of the source [e-/s]")
+    clump_flux_fraction: float = Field(ge=0, le=1, description="Fraction of source_flux in the clumps")
+    quasar_fluxes: list[NonNegative] = Field(description="Flux of each quasar image [e-/s]")
+    lens_light_amplitudes: list[NonNegative] = Field(description="Light at R_sersic per model [e-/s/arcsec^2]")
 
 
 class SimulatedSourceBlock(Block):
-    """Face-on clumpy spiral: an exponential disc and Gaussian clumps along two arms [arcsec]."""
+    """Face-on clumpy spiral: an exponential disc and Gaussian clumps along two arms."""
 
-    center: Point
-    disc_scale_arcsec: Positive
-    n_clumps: Annotated[int, Field(ge=0)]
-    clump_sigma_arcsec: Interval
-    seed: Annotated[int, Field(ge=0)]
+    center: Point = Field(description="Centre [x, y] in the source plane [arcsec]")
+    disc_scale_arcsec: Positive = Field(description="Scale of the exponential disc [arcsec]")
+    n_clumps: int = Field(ge=0, description="Number of clumps")
+    clump_sigma_arcsec: Interval = Field(description="Range of the clumps' widths [arcsec]")
+    seed: int = Field(ge=0, description="Seed of the clumps")
 
 
 class TruthBlock(Block):
-    """The known dark matter of the simulated observation; m_th_kev may be .inf (CDM)."""
+    """The dark matter of the simulated observation, which the campaign should recover."""
 
-    m_th_kev: Annotated[float, Field(gt=0)]
-    log10_m_halo_msun: Annotated[float, Field(ge=10, le=16)]
-    seed: Annotated[int, Field(ge=0)]
+    m_th_kev: float = Field(gt=0, description="Thermal relic mass [keV]; .inf is cold dark matter")
+    log10_m_halo_msun: float = Field(ge=10, le=16, description="Host mass log10(M200c / Msun) at the lens")
+    seed: int = Field(ge=0, description="Seed of its subhalos and of the noise")
 
 
 class SimulatedBlock(Block):
-    """The embedded observation: an RXJ1131-like lens whose substructure is drawn by the halo stage."""
+    """RXJ1131-like lens for kind: simulated; the halo stage draws its substructure."""
 
-    shape: tuple[ImageSide, ImageSide]
-    pixel_scale_arcsec: Positive
-    psf_pixels: Annotated[int, Field(ge=3, le=MAX_SIDE)]
-    supersampling: Annotated[int, Field(ge=1, le=8)]
+    shape: tuple[ImageSide, ImageSide] = Field(description="Pixels [y, x], centred on the lens")
+    pixel_scale_arcsec: Positive = Field(description="Side of a pixel [arcsec]")
+    psf_pixels: int = Field(ge=3, le=MAX_SIDE, description="Side of the PSF images [pixels], odd")
+    supersampling: int = Field(ge=1, le=8, description="Sub-pixels per pixel and axis of the true image")
     truth: TruthBlock
     lens: LensBlock
     lens_light: LensLightBlock
-    quasar_images: list[Point]
+    quasar_images: list[Point] = Field(description="Positions [x, y] of the quasar images [arcsec]")
     source: SimulatedSourceBlock
-    bands: dict[BandName, SimulatedBandBlock]
+    bands: dict[BandName, SimulatedBandBlock] = Field(description="Each simulated band, by name")
 
     @model_validator(mode="after")
     def _consistent(self) -> SimulatedBlock:
@@ -87,22 +92,32 @@ FITS_FILES = ("science", "psf", "mask", "sigma", "weight", "noise_correlation")
 
 
 class FitsBandBlock(Block):
-    """Files of one band, [y, x]; `$NAME` or `${NAME}` in a path is an environment variable."""
+    """Files of one band; `$NAME` in a path is an environment variable."""
 
-    science: str
-    psf: str
-    mask: str | None = None
-    sigma: str | None = None
-    weight: str | None = None
-    # not written when they are not used, so that the settings of other images stay what they were
-    noise_correlation: str | None = Field(default=None, exclude_if=lambda path: path is None)
-    blank_sky_arcsec: Positive | None = Field(default=None, exclude_if=lambda radius: radius is None)
-    extension: Annotated[int, Field(ge=0)] = 0
-    exposure_s: Positive | None = None
-    background_rms: Positive | None = None
-    units: Literal["electron/s"] | None = None
-    pixel_scale_arcsec: Positive | None = None
-    center_pixel: Point | None = None
+    science: str = Field(description="Image [y, x] in e-/s with a WCS; $NAME in a path is an environment variable")
+    psf: str = Field(description="PSF on the image's pixels and in its orientation; odd side, peak in the middle")
+    mask: str | None = Field(None, description="Mask: pixels above 0 are used; without it all pixels are")
+    sigma: str | None = Field(None, description="Noise per pixel [e-/s]; mocks have Gaussian noise of this map")
+    weight: str | None = Field(None, description="Or inverse variance per pixel; 0 masks a pixel")
+    noise_correlation: str | None = Field(
+        None, exclude_if=_is_none, description="Correlation of the noise: odd sides, offset 0 in the middle"
+    )
+    blank_sky_arcsec: Positive | None = Field(
+        None,
+        exclude_if=_is_none,
+        description="Beyond this radius [arcsec] is only sky: the correlation of the noise between pixels "
+        "(drizzling) is measured there and given to the mocks",
+    )
+    extension: int = Field(0, ge=0, description="Extension of the science image; others are in extension 0")
+    exposure_s: Positive | None = Field(
+        None, description="Exposure time [s] for Poisson noise, without sigma and weight; replaces EXPTIME"
+    )
+    background_rms: Positive | None = Field(
+        None, description="Background noise [e-/s per pixel], without sigma and weight; replaces BKGRMS"
+    )
+    units: Literal["electron/s"] | None = Field(None, description="Overrides the unit of the header: electron/s")
+    pixel_scale_arcsec: Positive | None = Field(None, description="Pixel side [arcsec], north up; instead of WCS")
+    center_pixel: Point | None = Field(None, description="Origin of positions, [x, y] from 0; replaces CRPIX")
 
     @model_validator(mode="after")
     def _consistent(self) -> FitsBandBlock:
@@ -118,13 +133,14 @@ class FitsBandBlock(Block):
 class ObservationBlock(Block):
     """Where the observed image comes from."""
 
-    kind: Literal["simulated", "fits", "artifact"]
-    bands: Annotated[list[BandName], Field(min_length=1)]
+    kind: Literal["simulated", "fits", "artifact"] = Field(
+        description="simulated: by the block below; fits: your images; artifact: from another campaign"
+    )
+    bands: list[BandName] = Field(min_length=1, description="Bands in use, of those described below")
     simulated: SimulatedBlock | None = None
-    fits: dict[BandName, FitsBandBlock] | None = None
-    # not written when it is not used, so that the settings of other kinds stay what they were
+    fits: dict[BandName, FitsBandBlock] | None = Field(None, description="Files of each band, on the same pixels")
     artifact: Annotated[str, Field(min_length=1)] | None = Field(
-        default=None, exclude_if=lambda path: path is None
+        None, exclude_if=_is_none, description="observation.h5 of another campaign, all or some of its bands"
     )
 
     @model_validator(mode="after")

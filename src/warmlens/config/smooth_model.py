@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 
 from warmlens.config.types import (
+    Ascending,
     Block,
     Finite,
     Fraction,
@@ -20,29 +21,31 @@ from warmlens.config.types import (
 
 
 class ClumpsBlock(Block):
-    """Further shapelet sets for small features of the source, found in the residuals."""
+    """Shapelets on peaks of the residuals, traced to the source plane; null: none."""
 
-    number: Annotated[int, Field(ge=0, le=200)]
-    n_max: Annotated[int, Field(ge=0, le=10)]
-    threshold: Positive
-    scale_in_fwhm: Positive
+    number: int = Field(ge=0, le=200, description="Largest number of clumps")
+    n_max: int = Field(ge=0, le=10, description="Order of each clump's shapelets")
+    threshold: Positive = Field(description="Significance of a residual peak, matched to the PSF")
+    scale_in_fwhm: Positive = Field(description="Scale in units of FWHM of the PSF / sqrt(magnification)")
 
 
 class SourceBlock(Block):
     """Shapelet basis of the source, common to all bands."""
 
-    n_max: Annotated[int, Field(ge=0, le=80)]
-    beta_arcsec: Positive
-    center: Point | Literal["quasars"]
-    supersampling: Annotated[int, Field(ge=1, le=8)]
+    n_max: int = Field(ge=0, le=80, description="Order: (n_max + 1)(n_max + 2) / 2 shapelets")
+    beta_arcsec: Positive = Field(description="Scale [arcsec]; a fit starts there, see fit.source_beta")
+    center: Point | Literal["quasars"] = Field(
+        description="Point [x, y] in the source plane [arcsec], or quasars: their mean source position"
+    )
+    supersampling: int = Field(ge=1, le=8, description="Sub-pixels per pixel and axis of the source")
     clumps: ClumpsBlock | None = None
 
 
 class LensBlock(Block):
-    """A lens in lenstronomy's names: `lens_model_list` and `kwargs_lens`."""
+    """Lens in lenstronomy's names."""
 
-    lens_model_list: list[str]
-    kwargs_lens: list[ModelKwargs]
+    lens_model_list: list[str] = Field(description="Names of lenstronomy's lens models")
+    kwargs_lens: list[ModelKwargs] = Field(description="Parameters per model; the first is centred on the lens")
 
     @model_validator(mode="after")
     def _lengths(self) -> LensBlock:
@@ -51,10 +54,10 @@ class LensBlock(Block):
 
 
 class LensLightBlock(Block):
-    """Light of the lens in lenstronomy's names, without `amp`: amplitudes are linear, free per band."""
+    """Light of the lens in lenstronomy's names; amplitudes are linear, free per band."""
 
-    lens_light_model_list: list[str]
-    kwargs_lens_light: list[ModelKwargs]
+    lens_light_model_list: list[str] = Field(description="Names of lenstronomy's light models")
+    kwargs_lens_light: list[ModelKwargs] = Field(description="Parameters of each model without amp")
 
     @model_validator(mode="after")
     def _lengths(self) -> LensLightBlock:
@@ -74,72 +77,86 @@ FreeRange = Annotated[tuple[Finite, Finite, Positive | None], AfterValidator(_fr
 
 
 class PotentialShapeletsBlock(Block):
-    """Cartesian shapelets of the lens potential, about the first component's first centre."""
+    """Shapelets of the lens potential about the first model's centre; they start from 0."""
 
-    number: Literal[0, 1, 3, 6, 10, 15, 21, 28, 36, 45, 55]
-    beta_arcsec: Positive
-    sigma: Positive
+    number: Literal[0, 1, 3, 6, 10, 15, 21, 28, 36, 45, 55] = Field(description="Number (paper: 0, 10 and 21)")
+    beta_arcsec: Positive = Field(description="Scale of the shapelets [arcsec]")
+    sigma: Positive = Field(description="Width of the Gaussian prior of each amplitude")
 
 
 class SearchBlock(Block):
-    """Particle swarm over the lens before the fit."""
+    """Particle swarm over the lens before the fit; null: none."""
 
-    particles: Annotated[int, Field(ge=4)]
-    iterations: Annotated[int, Field(ge=1)]
-    n_max: Annotated[int, Field(ge=0, le=20)]
+    particles: int = Field(ge=4, description="Number of particles")
+    iterations: int = Field(ge=1, description="Moves of each particle")
+    n_max: int = Field(ge=0, le=20, description="Order of the source during the search")
 
 
 class PsfFitBlock(Block):
-    """Improvement of the PSF on the quasar images."""
+    """Correction of the PSF on the quasar images (workflow/configs/hst.yaml); null: none."""
 
-    iterations: Annotated[int, Field(ge=1, le=20)]
-    radius_arcsec: Positive
-    relative_sigma: Positive
-    wing_radii_arcsec: Interval
-    unknown_fraction: Fraction
+    iterations: int = Field(ge=1, le=20, description="Number of corrections, each followed by a fit")
+    radius_arcsec: Positive = Field(description="The kernel is corrected within this radius [arcsec]")
+    relative_sigma: Positive = Field(description="Prior of a pixel's correction, as a fraction of the PSF there")
+    wing_radii_arcsec: Interval = Field(
+        description="Radii between which the kernel turns into a smoothed one [arcsec]"
+    )
+    unknown_fraction: Fraction = Field(
+        description="Before, pixels where this fraction of quasar light exceeds the noise are left out"
+    )
 
 
 class FitBlock(Block):
-    """Which parameters of the smooth lens and its light are free, and how they are fitted."""
+    """Free parameters as name: [lower limit, upper limit, width of a Gaussian prior about the start | null]."""
 
-    lens_free: list[dict[str, FreeRange]]
-    lens_light_free: list[dict[str, FreeRange]]
-    satellites: list[tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]]
+    lens_free: list[dict[str, FreeRange]] = Field(
+        description="Free parameters of each lens model except potential shapelets; others are fixed"
+    )
+    lens_light_free: list[dict[str, FreeRange]] = Field(description="Free parameters of each light model")
+    satellites: list[tuple[NonNegativeInt, NonNegativeInt]] = Field(
+        description="[lens model, light model] that share a centre"
+    )
     potential_shapelets: PotentialShapeletsBlock
-    quasar_sigma_arcsec: Positive
-    tie_arcsec: Positive
-    source_beta: FreeRange | None
+    quasar_sigma_arcsec: Positive = Field(description="Prior width of the quasar images' positions [arcsec]")
+    tie_arcsec: Positive = Field(description="Quasar images trace to one source point within this [arcsec]")
+    source_beta: FreeRange | None = Field(
+        description="Source scale: range and prior [arcsec]; null fixes it, favouring a mass sheet"
+    )
     search: SearchBlock | None
-    levels: list[Annotated[int, Field(ge=0, le=80)]]
-    max_steps: Annotated[int, Field(ge=1, le=200)]
-    tolerance: Fraction
+    levels: Annotated[list[Annotated[int, Field(ge=0, le=80)]], Ascending] = Field(
+        description="Source orders on the way to source.n_max"
+    )
+    max_steps: int = Field(ge=1, le=200, description="Evaluations per level; the last fit has twice as many")
+    tolerance: Fraction = Field(description="Converged when a step lowers chi2 by less than this fraction")
     psf: PsfFitBlock | None
-    seed: Annotated[int, Field(ge=0)]
-
-    @model_validator(mode="after")
-    def _levels(self) -> FitBlock:
-        if sorted(set(self.levels)) != self.levels:
-            raise ValueError(f"levels must rise, got {self.levels}")
-        return self
+    seed: int = Field(ge=0, description="Seed of the particle swarm")
 
 
 class SmoothModelBlock(Block):
-    """Smooth model: the lens is given, or fitted from there; the amplitudes are fitted per band either way."""
+    """Smooth model of the lens, its light and the source."""
 
-    mode: Literal["given", "fit"]
-    lens: LensBlock
+    mode: Literal["given", "fit"] = Field(
+        description="fit: the lens below is the start; given: it is the lens. Amplitudes are always fitted"
+    )
+    lens: LensBlock = Field(description="Lens in lenstronomy's names; a fit starts its potential shapelets from 0")
     lens_light: LensLightBlock
-    quasar_images: list[Point]
-    noise_from: Literal["model", "data"]
-    quasar_variance_fraction: NonNegative
-    quasar_core_arcsec: NonNegative
-    disc_arcsec: Positive | None
-    lens_core_mask_arcsec: NonNegative
-    fit_background: bool
+    quasar_images: list[Point] = Field(description="Quasar images [x, y] [arcsec]; [] if the lens has none")
+    noise_from: Literal["model", "data"] = Field(
+        description="Poisson noise of the model image or of the data (biased by its noise), without a map"
+    )
+    quasar_variance_fraction: NonNegative = Field(description="Adds (this * quasar flux)^2 to a pixel's variance")
+    quasar_core_arcsec: NonNegative = Field(
+        description="Radius about each quasar image that chi2_red of the gate leaves out [arcsec]"
+    )
+    disc_arcsec: Positive | None = Field(
+        description="Only pixels within this distance of the lens are used [arcsec]; null: all"
+    )
+    lens_core_mask_arcsec: NonNegative = Field(description="Pixels nearer to the lens are masked [arcsec]")
+    fit_background: bool = Field(description="Fit a constant level per band")
     source: SourceBlock
-    ridge: Positive
-    chi2_red_range: Interval
-    allow_poor_fit: bool
+    ridge: Positive = Field(description="Weak Gaussian prior on the amplitudes of the unit-norm columns")
+    chi2_red_range: Interval = Field(description="Above is an error, below a warning in the report")
+    allow_poor_fit: bool = Field(description="Only warn if a fit is at a limit, off the gate or not converged")
     fit: FitBlock | None = None
 
     @model_validator(mode="after")

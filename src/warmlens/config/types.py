@@ -1,9 +1,10 @@
-"""Types that the blocks of the configuration share: ranges of numbers, intervals, a frozen mapping."""
+"""Types that the blocks of the configuration share: ranges of numbers, names, paths, and the block itself."""
 
 from __future__ import annotations
 
 import reprlib
 from collections.abc import Sequence
+from itertools import pairwise
 from pathlib import PurePath
 from typing import Annotated, Any
 
@@ -11,6 +12,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInf
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Negative = Annotated[float, Field(lt=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Fraction = Annotated[float, Field(gt=0, lt=1)]
 Point = tuple[Finite, Finite]
@@ -19,7 +21,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_+][A-Za-z0-9_.+-]*$", max_leng
 
 
 class ConfigError(ValueError):
-    """Problems of a configuration, one line each, every line beginning with the key."""
+    """Problems of a configuration, one line each; every line begins with the key."""
 
     def __init__(self, problems: Sequence[str]) -> None:
         self.problems = list(problems)
@@ -27,12 +29,12 @@ class ConfigError(ValueError):
 
 
 def _band_name(name: str) -> str:
-    if name in _BESIDE_BANDS:
-        raise ValueError(f"{name!r} is what artifacts call something else; give the band another name")
+    if name in _RESERVED_NAMES:
+        raise ValueError(f"{name!r} is the name of other groups in artifacts; give the band another name")
     return name
 
 
-_BESIDE_BANDS = (
+_RESERVED_NAMES = (
     *("combined", "deflection", "pair_counts", "parameters", "positions", "quasars", "raster", "rays"),
     *("residuals", "samples", "sensitivity", "separation", "thresholds", "truth"),
 )
@@ -40,7 +42,7 @@ BandName = Annotated[Name, AfterValidator(_band_name)]
 
 
 def plain_path(text: str) -> str:
-    """Refuse a path that Snakemake or a shell would take for something else."""
+    """Refuse a path that Snakemake or a shell would misread."""
     if not text.strip():
         raise ValueError("an empty path")
     if not text.isprintable():
@@ -64,12 +66,12 @@ ResultsFolder = Annotated[str, AfterValidator(_results_folder)]
 
 
 def _model_kwargs(kwargs: dict[str, Any]) -> dict[str, Any]:
-    """Numbers and lists of numbers, as lenstronomy's models take them."""
+    """Accept numbers and lists of numbers, as lenstronomy's models do."""
     pending = list(kwargs.items())
     while pending:
         key, value = pending.pop()
         if isinstance(value, list | tuple):
-            pending += [(key, item) for item in value]
+            pending += [(key, element) for element in value]
         elif isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < _LARGEST:
             raise ValueError(f"{key} must be a finite number, or a list of these, got {value!r}")
     return kwargs
@@ -79,24 +81,33 @@ _LARGEST = 1e100
 ModelKwargs = Annotated[dict[str, Any], AfterValidator(_model_kwargs)]
 
 
-def _ascending(value: tuple[float, float]) -> tuple[float, float]:
+def _interval(value: tuple[float, float]) -> tuple[float, float]:
     if not value[0] < value[1]:
         raise ValueError(f"the lower end {value[0]:g} must be below the upper end {value[1]:g}")
     return value
 
 
-Interval = Annotated[tuple[Finite, Finite], AfterValidator(_ascending)]
+Interval = Annotated[tuple[Finite, Finite], AfterValidator(_interval)]
+
+
+def _ascending(values: list[float]) -> list[float]:
+    if any(low >= high for low, high in pairwise(values)):
+        raise ValueError(f"must rise from value to value, got {values}")
+    return values
+
+
+Ascending = AfterValidator(_ascending)
 
 
 class Block(BaseModel):
-    """A frozen mapping that knows its keys."""
+    """A frozen mapping with a fixed set of keys."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, validate_default=True, ser_json_inf_nan="constants")
 
     @field_validator("*", mode="before")
     @classmethod
-    def _no_truth_for_a_number(cls, value: object, info: ValidationInfo) -> object:
-        """Pydantic takes true for 1."""
+    def _reject_booleans(cls, value: object, info: ValidationInfo) -> object:
+        """Reject booleans where a number is expected (pydantic reads `true` as 1)."""
         assert info.field_name is not None
         if cls.model_fields[info.field_name].annotation is not bool and _holds_boolean(value):
             raise ValueError(f"{reprlib.repr(value)} holds a truth value, expected something else")

@@ -1,4 +1,4 @@
-"""Reading YAML as plain data: what YAML would guess, repeat or run is an error that names the line."""
+"""Read YAML as plain data; whatever YAML would guess, repeat or run is an error that names the line."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import yaml
 from warmlens.config.types import ConfigError
 
 _MAX_BYTES = 2**18
-_MAX_VALUES = 20_000  # with what aliases repeat
+_MAX_VALUES = 20_000  # aliases count as often as they are used
 _MAX_DEPTH = 30
 _TOO_DEEP = f"nested more than {_MAX_DEPTH} deep"
 _INTEGER = re.compile(r"[-+]?(0|[1-9][0-9_]{0,39})")
@@ -20,13 +20,13 @@ _RUNS_CODE = "__use_yte__"  # Snakemake evaluates expressions in a file that has
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Mapping that a YAML file holds: text, numbers, true and false, null, lists and mappings of these.
+    """Return the mapping that a YAML file holds: text, numbers, true, false, null, lists and mappings of these.
 
     Raises
     ------
     ConfigError
-        If there is no such file, it is no YAML, or has what is not plain data or not what it seems: tags,
-        a key given twice, merge keys, dates, yes and no for true and false, octal or sexagesimal numbers.
+        If the file is missing, no YAML, or holds what is not plain data or ambiguous: tags, a key given twice,
+        merge keys, dates, yes and no for true and false, octal or sexagesimal numbers.
     """
     if not path.exists():
         raise ConfigError([f"{path}: no such file"])
@@ -55,22 +55,22 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def _check_extent(value: Any) -> None:
-    """Refuse what aliases blow up: they cost nothing to load, but everything to walk through."""
+    """Refuse data that aliases blow up: they cost nothing to load, but everything to walk through."""
     n_values = 0
     pending = [(value, 0)]
     while pending:
-        item, depth = pending.pop()
+        node, depth = pending.pop()
         n_values += 1
         if n_values > _MAX_VALUES:
             raise ValueError(f"holds more than {_MAX_VALUES} values, counting what aliases repeat")
         if depth > _MAX_DEPTH:
             raise ValueError(_TOO_DEEP)
-        children = item.values() if isinstance(item, dict) else item if isinstance(item, list) else ()
+        children = node.values() if isinstance(node, dict) else node if isinstance(node, list) else ()
         pending += [(child, depth + 1) for child in children]
 
 
 class _PlainLoader(yaml.SafeLoader):
-    """Safe loader of plain data that refuses what is ambiguous, and nesting, which it would be slow at."""
+    """Safe loader of plain data that refuses what is ambiguous, and deep nesting, which is slow."""
 
     def fetch_flow_collection_start(self, TokenClass: type[yaml.Token]) -> None:
         if self.flow_level > _MAX_DEPTH:
@@ -83,17 +83,17 @@ class _PlainLoader(yaml.SafeLoader):
         return super().add_indent(column)
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
-        found: dict[Hashable, Any] = {}
+        mapping: dict[Hashable, Any] = {}
         for key_node, value_node in node.value:
             if key_node.tag == "tag:yaml.org,2002:merge":
                 raise _refused(key_node, "merge keys (<<) are not read; write the keys out")
             key = self.construct_object(key_node, deep=True)
             if not isinstance(key, str):
                 raise _refused(key_node, f"the key {key!r} is not text; put it in quotes if it is meant")
-            if key in found:
+            if key in mapping:
                 raise _refused(key_node, f"the key {key!r} is given twice; remove one")
-            found[key] = self.construct_object(value_node, deep=deep)
-        return found
+            mapping[key] = self.construct_object(value_node, deep=deep)
+        return mapping
 
 
 def _refused(node: yaml.Node, reason: str) -> ValueError:
