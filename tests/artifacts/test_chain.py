@@ -9,7 +9,6 @@ import pytest
 
 from warmlens.artifacts.chain import (
     audit,
-    check_chain,
     check_chains,
     examine,
 )
@@ -39,7 +38,7 @@ def chain(tmp_path: Path) -> dict[Path, str]:
 
 def test_a_sound_chain(chain: dict[Path, str]) -> None:
     assert audit(chain, EXPECTED) == []
-    check_chain(list(chain)[-1], EXPECTED)
+    check_chains([list(chain)[-1]], EXPECTED)
 
 
 def _problems(chain: dict[Path, str], expected: dict[str, str] = EXPECTED) -> list[tuple[str, str]]:
@@ -53,7 +52,7 @@ def test_missing(chain: dict[Path, str], tmp_path: Path) -> None:
         ("mocks", "its input deflections (deflections.h5) is missing"),
     ]
     with pytest.raises(ArtifactError, match="is missing"):
-        check_chain(tmp_path / "mocks.h5", EXPECTED)
+        check_chains([tmp_path / "mocks.h5"], EXPECTED)
 
 
 def test_altered_content(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -66,7 +65,7 @@ def test_input_made_anew(chain: dict[Path, str], tmp_path: Path) -> None:
     _write(tmp_path, "halos", 1.5)
     assert _problems(chain) == [("deflections", "its input halos (halos.h5) has changed since")]
     with pytest.raises(ArtifactError, match=r"deflections\.h5: its input halos .* has changed since"):
-        check_chain(tmp_path / "mocks.h5", EXPECTED)
+        check_chains([tmp_path / "mocks.h5"], EXPECTED)
 
 
 def test_other_settings(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -74,7 +73,7 @@ def test_other_settings(chain: dict[Path, str], tmp_path: Path) -> None:
     problem = "made with other settings or an older version of its stage"
     assert _problems(chain, expected) == [("deflections", problem)]
     with pytest.raises(ArtifactError, match=r"deflections\.h5: made with other settings"):
-        check_chain(tmp_path / "mocks.h5", expected)
+        check_chains([tmp_path / "mocks.h5"], expected)
 
 
 def test_truncated(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -94,7 +93,7 @@ def test_a_record_tells_who_made_an_artifact_and_what_is_wrong(chain: dict[Path,
     assert halos.header is not None and deflections.header is not None and mocks.header is None
     assert halos.header.schema == "warmlens/halos"
     assert halos.header.settings_sha256 == EXPECTED["halos"]
-    assert deflections.header.inputs["halos"][1] == tmp_path / "halos.h5"
+    assert deflections.sources["halos"] == tmp_path / "halos.h5"
     assert set(told) == set(chain)
 
 
@@ -149,4 +148,4 @@ def test_content_of_the_last_artifact_of_a_chain(chain: dict[Path, str], tmp_pat
     with pytest.raises(
         ArtifactError, match=r"mocks\.h5: altered: its content does not match its digest; delete it"
     ):
-        check_chain(tmp_path / "mocks.h5", EXPECTED)
+        check_chains([tmp_path / "mocks.h5"], EXPECTED)
