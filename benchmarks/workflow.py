@@ -30,6 +30,7 @@ from warmlens.artifacts.file import (
     Provenance,
     content_digest,
     open_artifact,
+    read_header,
     write_artifact,
 )
 from warmlens.artifacts.names import CONFIG, CRATE, MANIFEST

@@ -7,11 +7,7 @@ import h5py
 import numpy as np
 import pytest
 
-from warmlens.artifacts.chain import (
-    audit,
-    check_chains,
-    examine,
-)
+from warmlens.artifacts.chain import audit, check_chains, examine
 from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, settings_digest, write_artifact
 from warmlens.audit.campaign import differences
 from warmlens.audit.report import age
@@ -61,7 +57,7 @@ def test_altered_content(chain: dict[Path, str], tmp_path: Path) -> None:
     assert _problems(chain) == [("halos", "altered: its content does not match its digest")]
 
 
-def test_input_made_anew(chain: dict[Path, str], tmp_path: Path) -> None:
+def test_recomputed_input(chain: dict[Path, str], tmp_path: Path) -> None:
     _write(tmp_path, "halos", 1.5)
     assert _problems(chain) == [("deflections", "its input halos (halos.h5) has changed since")]
     with pytest.raises(ArtifactError, match=r"deflections\.h5: its input halos .* has changed since"):
@@ -84,17 +80,17 @@ def test_truncated(chain: dict[Path, str], tmp_path: Path) -> None:
     assert problem.startswith("damaged: ")
 
 
-def test_a_record_tells_who_made_an_artifact_and_what_is_wrong(chain: dict[Path, str], tmp_path: Path) -> None:
+def test_a_record_has_the_header_of_an_artifact_and_what_is_wrong(chain: dict[Path, str], tmp_path: Path) -> None:
     _write(tmp_path, "halos", 1.5)
     (tmp_path / "mocks.h5").unlink()
-    told: list[Path] = []
-    halos, deflections, mocks = examine(chain, EXPECTED, told.append)
+    compared: list[Path] = []
+    halos, deflections, mocks = examine(chain, EXPECTED, compared.append)
     assert [record.verdict for record in (halos, deflections, mocks)] == ["ok", "inputs", "missing"]
     assert halos.header is not None and deflections.header is not None and mocks.header is None
     assert halos.header.schema == "warmlens/halos"
     assert halos.header.settings_sha256 == EXPECTED["halos"]
     assert deflections.sources["halos"] == tmp_path / "halos.h5"
-    assert set(told) == set(chain)
+    assert set(compared) == set(chain)
 
 
 def test_a_damaged_input_is_no_damage_of_what_was_made_from_it(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -110,7 +106,7 @@ def test_several_chains_are_all_checked(chain: dict[Path, str], tmp_path: Path) 
         check_chains([tmp_path / "halos.h5", tmp_path / "mocks.h5"], EXPECTED)
 
 
-def test_differences_of_settings_are_told_by_name() -> None:
+def test_differences_of_settings_are_listed_by_name() -> None:
     now = {"stage_version": 2, "scan": {"step": 0.1, "window": None}, "upstream": {"halos": "b"}}
     before = {"scan": {"step": 0.2, "window": None}, "upstream": {"halos": "a"}, "stage_version": 1}
     assert differences(before, now).split(", ") == [

@@ -1,4 +1,4 @@
-"""The chain of artifacts from the posterior back to the observation: one walk for all who check it."""
+"""The chain of artifacts from the posterior back to the observation, followed in one place."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ class Record:
     def sound_header(self) -> Header:
         """Return the header, or raise the first finding as an `ArtifactError` with what to do."""
         if self.findings:
-            raise self.findings[0].to_error() from self.findings[0].cause
+            raise self.findings[0].to_error()
         assert self.header is not None
         return self.header
 
 
 class Chain:
-    """Compares artifacts of a campaign with one another; the header of an input is read once.
+    """Compare artifacts of a campaign with one another; the header of an input is read once.
 
     `expected_settings` has the digest of the settings of every stage under the configuration of the campaign.
     """
@@ -83,18 +83,11 @@ class Chain:
     def compare(self, path: Path, stage: str = "", *, hashed: bool = False, place: Path | None = None) -> Record:
         """Compare an artifact with the settings of its stage, and with its inputs as they are now.
 
-        Parameters
-        ----------
-        path
-            The artifact.
-        stage
-            Stage that it should be of; "" for any.
-        hashed
-            Whether to compare its content with its digest, too.
-        place
-            Where it is to lie, among its inputs; where it is unless given.
+        An artifact of another `stage` counts as damaged; "" stands for any. If `hashed`, its content is compared
+        with its digest, too. Its inputs are looked for as if it were at `place`, if that is given.
         """
-        header, sources = None, {}
+        header: Header | None = None
+        sources: dict[str, Path] = {}
         findings: list[Finding] = []
         try:
             if hashed or stage or path not in self._read:
@@ -104,12 +97,11 @@ class Chain:
                     self._read[path] = header, sources
                     if hashed and content_digest(artifact.file, artifact.metadata) != header.digest:
                         findings.append(Finding(path, "altered: its content does not match its digest", "altered"))
-            else:
-                header, sources = self._read[path]
         except (ArtifactError, OSError) as error:
             damaged = Finding(path, f"damaged: {error}", "damaged", error)
             missing = Finding(path, "missing", "missing", error)
             return Record(path, stage, header, sources, (damaged if path.exists() else missing,))
+        header, sources = self._read[path]
         wanted = self._expected.get(header.stage)
         if wanted is not None and header.settings_sha256 != wanted:
             problem = "made with other settings or an older version of its stage"
@@ -177,7 +169,7 @@ def walk(
             for record in pool.map(compare, files.keys(), files.values()):
                 yield record
                 if record.header and not record.findings and record.header.stage != "observation":
-                    sources.update(record.sources.values())  # those of an observation are no part of the campaign
+                    sources.update(record.sources.values())  # those of an observation are files of the user
             files = {source: "" for source in sorted(sources) if source.resolve() not in seen}
             seen |= {source.resolve() for source in files}
 

@@ -74,8 +74,8 @@ class Provenance:
 class Header:
     """What an artifact at `path` states about itself: its attributes, without its contents.
 
-    `digest` is the SHA-256 of metadata and datasets. `inputs` has of each input by name its "path", relative to the
-    folder of the artifact, and the "digest" that it had. The code is `git_dirty` if it had uncommitted changes.
+    `digest` is the SHA-256 of metadata and datasets. `inputs` has for each name the "path" of the input, relative
+    to the folder of the artifact, and the "digest" that it had. Code with uncommitted changes is `git_dirty`.
     """
 
     path: Path

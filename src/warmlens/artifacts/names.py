@@ -18,13 +18,13 @@ SINGLE = {
 }
 CHUNKED = ("halos", "deflections", "mocks", "scans", "summaries")
 NULL = ("null_mocks", "null_scans", "null_summaries")
-FIGURE_GROUPS = {  # one job each: loading what draws takes longer than to draw
+FIGURE_GROUPS = {  # one job each: importing matplotlib takes longer than to draw
     "lens": ("smooth_model", "psf", "scan_plane"),
     "samples": ("halo_maps", "deflection_maps", "mocks", "delta_r", "correlation"),
     "answer": ("posterior", "likelihood", "calibration", "convergence", "predictive", "information"),
 }
 FIGURES = tuple(name for names in FIGURE_GROUPS.values() for name in names)
-FIGURE_VERSION = 5  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
+FIGURE_VERSION = 5  # raise it when a figure changes: finished campaigns then redraw theirs
 CONFIG = "config.json"
 TABLE = "abc.csv"
 NUMBERS = "abc.json"
@@ -35,7 +35,7 @@ CRATE = "ro-crate-metadata.json"  # as RO-Crate wants it
 MANIFEST_VERSION = 1
 EXCLUSION_TABLE = "exclusion.csv"
 EXCLUSION_NUMBERS = "exclusion.json"
-ANSWER_FILES = {"abc": (TABLE, NUMBERS), "exclusion": (EXCLUSION_TABLE, EXCLUSION_NUMBERS)}  # beside the artifact
+ANSWER_FILES = {"abc": (TABLE, NUMBERS), "exclusion": (EXCLUSION_TABLE, EXCLUSION_NUMBERS)}  # next to the artifact
 
 
 def sample_page(sample: int) -> str:

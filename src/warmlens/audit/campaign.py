@@ -23,20 +23,9 @@ _SHOWN = 3  # settings that differ, by name; the others are counted
 
 @dataclass(frozen=True)
 class CampaignAudit:
-    """What an audit found.
+    """Result of an audit: one record per artifact, and one per other file, with its kind in place of a stage.
 
-    Attributes
-    ----------
-    results
-        Results folder.
-    artifacts, files
-        One record per artifact, and one per file that was made from them, with its kind in place of a stage.
-    manifest
-        Whether there is one that can be read; the files are compared with it.
-    manifest_findings
-        What is wrong with the manifest as a whole.
-    notes
-        Facts that are no errors.
+    Other files are compared with the manifest, if it is present; `manifest_findings` are about it as a whole.
     """
 
     results: Path
@@ -59,14 +48,9 @@ class CampaignAudit:
 
 
 def audit_campaign(config: Config, done: Callable[[Path], None] = lambda _: None) -> CampaignAudit:
-    """Re-hash all files of a campaign, follow the chain of its artifacts, and compare with its manifest.
+    """Re-hash all files in `config.results`, follow the chain of the artifacts, and compare with the manifest.
 
-    Parameters
-    ----------
-    config
-        Of the campaign; its files are looked for in `config.results`.
-    done
-        Called with the path of every file, from several threads.
+    `done` is called with the path of every file, from several threads.
     """
     results = Path(config.results)
     expected, derived = artifact_files(config), derived_files(config)
@@ -85,10 +69,9 @@ def audit_campaign(config: Config, done: Callable[[Path], None] = lambda _: None
         listed = {results / each.path: each for each in manifest.files}
         records = [_compare_artifact(record, listed.get(record.path), results) for record in records]
         files = [_compare_file(path, kind, listed.get(path), results, done) for path, kind in derived.items()]
+        problem = f"in {MANIFEST}, but no part of this campaign"
         strangers = [path for path in listed if path not in expected and path not in derived]
-        wrong = [
-            _manifest_finding(path, f"in {MANIFEST}, but no part of this campaign", results) for path in strangers
-        ]
+        wrong = [_manifest_finding(path, problem, results) for path in strangers]
     elif state == "none" and (n_absent := sum(not path.exists() for path in (*expected, *derived))):
         notes.append(f"{MANIFEST}: there is none, for the campaign is not finished ({n_absent} files to make)")
     elif state == "none":

@@ -39,16 +39,9 @@ _KINDS = {
 
 
 def write_crate(results: Path, manifest: Manifest, headers: Sequence[Header], license_url: str | None) -> None:
-    """Write the metadata of the crate whose folder is `results`.
+    """Write the metadata of the crate whose folder is `results`, where the manifest is already.
 
-    Parameters
-    ----------
-    results
-        Results folder, which holds the manifest already.
-    manifest, headers
-        Files of the campaign, and the headers of its artifacts.
-    license_url
-        Of the data; None leaves a note on how to name one.
+    `headers` are those of all artifacts. Without the URL of a license of the data, a note says how to name one.
     """
     crate = ROCrate(version=VERSION)
     root = crate.root_dataset

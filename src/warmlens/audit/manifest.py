@@ -90,21 +90,12 @@ def artifact_files(config: Config) -> dict[Path, str]:
 
 
 def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None) -> tuple[Manifest, list[Header]]:
-    """Hash every file of a finished campaign.
-
-    Parameters
-    ----------
-    config
-        Of the campaign; its files are looked for in `config.results`.
-    done
-        Called with the path of every file.
+    """Hash every file of a finished campaign in `config.results`; `done` is called with the path of each.
 
     Returns
     -------
-    manifest
-        The files, artifacts first.
-    headers
-        Of the artifacts, in the same order.
+    manifest, headers
+        All files, artifacts first, and the headers of the artifacts in the same order.
 
     Raises
     ------
@@ -150,7 +141,7 @@ def _bytes(path: Path, root: Path) -> dict[str, Any]:
 
 
 def write_manifest(manifest: Manifest, path: Path) -> None:
-    """Write a manifest as JSON."""
+    """Write a manifest as JSON, without what is None."""
     with atomic_path(path) as temporary:
         temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n")
 

@@ -43,23 +43,12 @@ class StageBranch:
 
 
 def branch(base: Path, config: Config) -> list[StageBranch]:
-    """Put all artifacts of `base` that are right for `config` into its results folder, as hard links.
+    """Hard-link all artifacts of the results folder `base` that are right for `config` into `config.results`.
 
     An artifact is right if it is complete, was made with exactly the settings that its stage has under `config`,
     and all its inputs in the new folder have the content that it was made from. Across file systems it is
     copied. Times are kept, so that Snakemake finds it up to date. The last stage is always left to the workflow.
-
-    Parameters
-    ----------
-    base
-        Results folder of the campaign to start from.
-    config
-        The new campaign; `config.results` is its folder, which may hold an earlier, also an interrupted, branch.
-
-    Returns
-    -------
-    list of StageBranch
-        One per stage, in the order in which they run.
+    The new folder may hold an earlier, also an interrupted, branch.
 
     Raises
     ------

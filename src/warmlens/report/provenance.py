@@ -19,18 +19,10 @@ from warmlens.config.model import Config
 
 @dataclass(frozen=True)
 class CampaignProvenance:
-    """All artifacts of a campaign.
+    """All artifacts of a campaign by their path under the results folder: headers, or those that are missing.
 
-    Attributes
-    ----------
-    artifacts
-        Headers of those that are there, by their path under the results folder.
-    missing
-        Paths under the results folder of those that are not.
-    chain_problem
-        The first artifact that does not fit its inputs or the configuration; "" if all do.
-    costs
-        One row per stage that has artifacts, see `stage_costs`.
+    `chain_problem` names the first that does not fit its inputs or the configuration, "" if all do; `costs` has
+    one row of `stage_costs` per stage.
     """
 
     artifacts: dict[str, Header]
@@ -56,13 +48,6 @@ class CampaignProvenance:
 
 def read_provenance(results: Path, config: Config) -> CampaignProvenance:
     """Read the header of every artifact of a campaign and follow the chain from the posterior.
-
-    Parameters
-    ----------
-    results
-        Results folder.
-    config
-        Configuration of the last run into it.
 
     Raises
     ------
