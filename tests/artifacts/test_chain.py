@@ -7,7 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-from warmlens.artifacts.chain import audit, check_chains, examine
+from warmlens.artifacts import chain as chain_module
+from warmlens.artifacts.chain import Chain, audit, check_chains, examine, walk
 from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, settings_digest, write_artifact
 from warmlens.audit.campaign import differences
 from warmlens.audit.report import age
@@ -145,3 +146,25 @@ def test_content_of_the_last_artifact_of_a_chain(chain: dict[Path, str], tmp_pat
         ArtifactError, match=r"mocks\.h5: altered: its content does not match its digest; delete it"
     ):
         check_chains([tmp_path / "mocks.h5"], EXPECTED)
+
+
+def test_an_input_is_not_opened_again(chain: dict[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = Chain(EXPECTED)
+    monkeypatch.setattr(chain_module, "read_header", None)
+    assert [compared.compare(path, stage).verdict for path, stage in chain.items()] == ["ok", "ok", "ok"]
+
+
+def test_a_walk_ends_at_what_is_made_from_nothing(chain: dict[Path, str], tmp_path: Path) -> None:
+    records = list(walk({tmp_path / "mocks.h5": "mocks"}, EXPECTED))
+    assert [record.path.stem for record in records] == ["mocks", "deflections", "halos"]
+    assert [record.sound_header().stage for record in records] == ["mocks", "deflections", "halos"]
+    _write(tmp_path, "halos", 1.5)
+    _, broken = walk({tmp_path / "mocks.h5": "mocks"}, EXPECTED)
+    assert broken.verdict == "inputs", "and nothing behind it is examined"
+    with pytest.raises(ArtifactError, match=r"deflections\.h5: its input halos .* has changed since; delete it"):
+        broken.sound_header()
+
+
+def test_a_stage_other_than_the_expected_one_is_damage(chain: dict[Path, str], tmp_path: Path) -> None:
+    (record,) = walk({tmp_path / "halos.h5": "mocks"}, EXPECTED)
+    assert record.verdict == "damaged" and "holds stage 'halos', expected 'mocks'" in record.findings[0].problem

@@ -18,15 +18,8 @@ _DAY = 86400.0
 _WIDEST = 400
 _CHAIN = ("settings", "inputs")
 _ATTRIBUTES = (
-    "schema",
-    "schema_version",
-    "digest",
-    "settings_sha256",
-    "created_utc",
-    "wall_seconds",
-    "package_version",
-    "git_commit",
-    "git_dirty",
+    *("schema", "schema_version", "digest", "settings_sha256", "created_utc", "wall_seconds"),
+    *("package_version", "git_commit", "git_dirty"),
 )
 
 

@@ -1,4 +1,4 @@
-"""How far a campaign is."""
+"""How far a campaign is, and how much time is left."""
 
 from __future__ import annotations
 
