@@ -18,7 +18,7 @@ SINGLE = {
 }
 CHUNKED = ("halos", "deflections", "mocks", "scans", "summaries")
 NULL = ("null_mocks", "null_scans", "null_summaries")
-FIGURE_GROUPS = {  # one job each: importing matplotlib takes longer than to draw
+FIGURE_GROUPS = {  # one job each: the imports take longer than drawing
     "lens": ("smooth_model", "psf", "scan_plane"),
     "samples": ("halo_maps", "deflection_maps", "mocks", "delta_r", "correlation"),
     "answer": ("posterior", "likelihood", "calibration", "convergence", "predictive", "information"),

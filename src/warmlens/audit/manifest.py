@@ -147,7 +147,7 @@ def write_manifest(manifest: Manifest, path: Path) -> None:
 
 
 def read_manifest(results: Path) -> Manifest | None:
-    """Read the manifest of a results folder; None if there is none, `ArtifactError` if the file is none."""
+    """Read the manifest of a results folder; None if there is none, `ArtifactError` if the file is damaged."""
     path = results / MANIFEST
     if not path.is_file():
         return None
