@@ -23,13 +23,14 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from warmlens.artifacts.chain import read_header
+from warmlens.artifacts.chain import input_paths
 from warmlens.artifacts.file import (
     ArtifactError,
     Dataset,
     Provenance,
     content_digest,
     open_artifact,
+    read_header,
     write_artifact,
 )
 from warmlens.artifacts.names import CONFIG, CRATE, MANIFEST
@@ -133,10 +134,10 @@ def measure(config: Config, cores: int, engine: float) -> Parts:
     wall = max(path.stat().st_mtime for path in files) - started
     own, readers = 0.0, Counter[Path]()
     for path, stage in artifacts.items():
-        with open_artifact(path, stage) as artifact:
-            header = read_header(artifact, path)
+        header = read_header(path, stage)
         own += header.wall_seconds
-        readers.update({source for _, source, _ in header.inputs.values() if header.stage != "observation"})
+        if stage != "observation":
+            readers.update(set(input_paths(header).values()))
     writing = hashing = reading = 0.0
     sensitivity = bool(config.scan.residual_samples)
     with tempfile.TemporaryDirectory(dir=results.parent) as scratch:

@@ -7,12 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-from warmlens.artifacts.chain import (
-    audit,
-    check_chain,
-    check_chains,
-    examine,
-)
+from warmlens.artifacts import chain as chain_module
+from warmlens.artifacts.chain import Chain, audit, check_chains, examine, walk
 from warmlens.artifacts.file import (
     ArtifactError,
     Dataset,
@@ -45,7 +41,7 @@ def chain(tmp_path: Path) -> dict[Path, str]:
 
 def test_a_sound_chain(chain: dict[Path, str]) -> None:
     assert audit(chain, EXPECTED) == []
-    check_chain(list(chain)[-1], EXPECTED)
+    check_chains([list(chain)[-1]], EXPECTED)
 
 
 def _problems(chain: dict[Path, str], expected: dict[str, str] = EXPECTED) -> list[tuple[str, str]]:
@@ -59,7 +55,7 @@ def test_missing(chain: dict[Path, str], tmp_path: Path) -> None:
         ("mocks", "its input deflections (deflections.h5) is missing"),
     ]
     with pytest.raises(ArtifactError, match="is missing"):
-        check_chain(tmp_path / "mocks.h5", EXPECTED)
+        check_chains([tmp_path / "mocks.h5"], EXPECTED)
 
 
 def test_altered_content(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -68,11 +64,11 @@ def test_altered_content(chain: dict[Path, str], tmp_path: Path) -> None:
     assert _problems(chain) == [("halos", "altered: its content does not match its digest")]
 
 
-def test_input_made_anew(chain: dict[Path, str], tmp_path: Path) -> None:
+def test_recomputed_input(chain: dict[Path, str], tmp_path: Path) -> None:
     _write(tmp_path, "halos", 1.5)
     assert _problems(chain) == [("deflections", "its input halos (halos.h5) has changed since")]
     with pytest.raises(ArtifactError, match=r"deflections\.h5: its input halos .* has changed since"):
-        check_chain(tmp_path / "mocks.h5", EXPECTED)
+        check_chains([tmp_path / "mocks.h5"], EXPECTED)
 
 
 def test_other_settings(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -80,7 +76,7 @@ def test_other_settings(chain: dict[Path, str], tmp_path: Path) -> None:
     problem = "made with other settings or an older version of its stage"
     assert _problems(chain, expected) == [("deflections", problem)]
     with pytest.raises(ArtifactError, match=r"deflections\.h5: made with other settings"):
-        check_chain(tmp_path / "mocks.h5", expected)
+        check_chains([tmp_path / "mocks.h5"], expected)
 
 
 def test_truncated(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -91,17 +87,17 @@ def test_truncated(chain: dict[Path, str], tmp_path: Path) -> None:
     assert problem.startswith("damaged: ")
 
 
-def test_a_record_tells_who_made_an_artifact_and_what_is_wrong(chain: dict[Path, str], tmp_path: Path) -> None:
+def test_a_record_has_the_header_of_an_artifact_and_what_is_wrong(chain: dict[Path, str], tmp_path: Path) -> None:
     _write(tmp_path, "halos", 1.5)
     (tmp_path / "mocks.h5").unlink()
-    told: list[Path] = []
-    halos, deflections, mocks = examine(chain, EXPECTED, told.append)
+    compared: list[Path] = []
+    halos, deflections, mocks = examine(chain, EXPECTED, compared.append)
     assert [record.verdict for record in (halos, deflections, mocks)] == ["ok", "inputs", "missing"]
     assert halos.header is not None and deflections.header is not None and mocks.header is None
     assert halos.header.schema == "warmlens/halos"
     assert halos.header.settings_sha256 == EXPECTED["halos"]
-    assert deflections.header.inputs["halos"][1] == tmp_path / "halos.h5"
-    assert set(told) == set(chain)
+    assert deflections.sources["halos"] == tmp_path / "halos.h5"
+    assert set(compared) == set(chain)
 
 
 def test_a_damaged_input_is_no_damage_of_what_was_made_from_it(chain: dict[Path, str], tmp_path: Path) -> None:
@@ -117,7 +113,7 @@ def test_several_chains_are_all_checked(chain: dict[Path, str], tmp_path: Path) 
         check_chains([tmp_path / "halos.h5", tmp_path / "mocks.h5"], EXPECTED)
 
 
-def test_differences_of_settings_are_told_by_name() -> None:
+def test_differences_of_settings_are_listed_by_name() -> None:
     now = {"stage_version": 2, "scan": {"step": 0.1, "window": None}, "upstream": {"halos": "b"}}
     before = {"scan": {"step": 0.2, "window": None}, "upstream": {"halos": "a"}, "stage_version": 1}
     assert differences(before, now).split(", ") == [
@@ -155,4 +151,26 @@ def test_content_of_the_last_artifact_of_a_chain(chain: dict[Path, str], tmp_pat
     with pytest.raises(
         ArtifactError, match=r"mocks\.h5: altered: its content does not match its digest; delete it"
     ):
-        check_chain(tmp_path / "mocks.h5", EXPECTED)
+        check_chains([tmp_path / "mocks.h5"], EXPECTED)
+
+
+def test_an_input_is_not_opened_again(chain: dict[Path, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    compared = Chain(EXPECTED)
+    monkeypatch.setattr(chain_module, "read_header", None)
+    assert [compared.compare(path, stage).verdict for path, stage in chain.items()] == ["ok", "ok", "ok"]
+
+
+def test_a_walk_ends_at_what_is_made_from_nothing(chain: dict[Path, str], tmp_path: Path) -> None:
+    records = list(walk({tmp_path / "mocks.h5": "mocks"}, EXPECTED))
+    assert [record.path.stem for record in records] == ["mocks", "deflections", "halos"]
+    assert [record.sound_header().stage for record in records] == ["mocks", "deflections", "halos"]
+    _write(tmp_path, "halos", 1.5)
+    _, broken = walk({tmp_path / "mocks.h5": "mocks"}, EXPECTED)
+    assert broken.verdict == "inputs", "and nothing behind it is examined"
+    with pytest.raises(ArtifactError, match=r"deflections\.h5: its input halos .* has changed since; delete it"):
+        broken.sound_header()
+
+
+def test_a_stage_other_than_the_expected_one_is_damage(chain: dict[Path, str], tmp_path: Path) -> None:
+    (record,) = walk({tmp_path / "halos.h5": "mocks"}, EXPECTED)
+    assert record.verdict == "damaged" and "holds stage 'halos', expected 'mocks'" in record.findings[0].problem

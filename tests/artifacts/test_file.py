@@ -42,7 +42,7 @@ def test_round_trip(tmp_path: Path) -> None:
             if not isinstance(dataset.data, list):
                 assert np.array_equal(artifact.array(name), dataset.data, equal_nan=True)
                 assert artifact.array(name).dtype == dataset.data.dtype
-    assert [item.name for item in path.parent.iterdir()] == ["a.h5"]
+    assert [file.name for file in path.parent.iterdir()] == ["a.h5"]
 
 
 def test_digest_is_of_the_content(tmp_path: Path) -> None:
@@ -75,13 +75,13 @@ def test_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mon
     with pytest.raises(ArtifactError, match=r"a\.h5: could not be written: the disk is full"):
         _write(tmp_path / "a.h5", value=3.0)
     assert (tmp_path / "a.h5").read_bytes() == before
-    assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
 def test_what_a_killed_job_left_is_removed(tmp_path: Path) -> None:
     (tmp_path / ".a.h5.tmp-123").write_bytes(b"half")
     _write(tmp_path / "a.h5")
-    assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
 def test_room_is_asked_for_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -90,7 +90,7 @@ def test_room_is_asked_for_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         _write(tmp_path / "a.h5")
     monkeypatch.undo()
     _write(tmp_path / "a.h5")
-    assert [item.name for item in tmp_path.iterdir()] == ["a.h5"]
+    assert [file.name for file in tmp_path.iterdir()] == ["a.h5"]
 
 
 def test_flipped_bytes_are_never_a_number(tmp_path: Path) -> None:

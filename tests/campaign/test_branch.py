@@ -111,7 +111,7 @@ def _taken(base: Config, results: str, **blocks: dict[str, Any]) -> Config:
 
 
 def _complete(stages: list[StageBranch]) -> set[str]:
-    return {item.stage for item in stages if item.complete}
+    return {branched.stage for branched in stages if branched.complete}
 
 
 def _sound(config: Config) -> bool:
@@ -136,12 +136,12 @@ def test_what_a_change_leaves_as_it_is_is_linked(base: Config, blocks: dict[str,
     variant = _taken(base, "results/elsewhere/variant", **blocks)
     stages = branch(Path(base.results), variant)
     assert _complete(stages) == {*campaign_stages(variant)[:-1]} - made
-    for item in stages:
-        for path in stage_files(variant, item.stage):
+    for branched in stages:
+        for path in stage_files(variant, branched.stage):
             original = Path(base.results) / path.relative_to(variant.results)
-            if item.stage == "observation":  # made of the base's, as old as that
+            if branched.stage == "observation":  # made of the base's, as old as that
                 assert path.stat().st_mtime_ns == original.stat().st_mtime_ns
-            elif item.stage in made:
+            elif branched.stage in made:
                 assert not path.exists()
             else:
                 assert path.samefile(original)
@@ -149,17 +149,17 @@ def test_what_a_change_leaves_as_it_is_is_linked(base: Config, blocks: dict[str,
     assert _sound(variant)
     assert _sound(base)
     again = branch(Path(base.results), variant)
-    assert all(item.n_there == item.n_files for item in again)
+    assert all(branched.n_there == branched.n_files for branched in again)
 
 
-def test_a_damaged_or_missing_artifact_of_the_base_is_made_anew(
+def test_a_damaged_or_missing_artifact_of_the_base_is_recomputed(
     base: Config, caplog: pytest.LogCaptureFixture
 ) -> None:
     first, second = stage_files(base, "halos")
     first.write_bytes(first.read_bytes()[:2000])
     stage_files(base, "scan_operator")[0].unlink()
     variant = _taken(base, "results/variant")
-    stages = {item.stage: item for item in branch(Path(base.results), variant)}
+    stages = {branched.stage: branched for branched in branch(Path(base.results), variant)}
     assert (stages["halos"].n_linked, stages["halos"].n_files) == (1, 2)
     assert "halos/chunk-0000000-0000005.h5" in caplog.text
     assert stages["scan_operator"].n_linked == stages["scan_operator"].n_files - 1
@@ -189,7 +189,7 @@ def test_an_interrupted_branch_is_completed(base: Config, monkeypatch: pytest.Mo
     half.unlink()
     half.write_bytes(b"half a copy")
     stages = branch(Path(base.results), variant)
-    assert all(item.complete for item in stages)
+    assert all(branched.complete for branched in stages)
     assert stages[1].n_linked == 1
     assert not list(Path(variant.results).rglob(".*tmp*"))
     _run(variant)
@@ -199,12 +199,12 @@ def test_an_interrupted_branch_is_completed(base: Config, monkeypatch: pytest.Mo
 def test_what_was_linked_before_a_change_goes(base: Config) -> None:
     branch(Path(base.results), _taken(base, "results/variant"))
     variant = _taken(base, "results/variant", halos={"preset": "calibrated"})
-    stages = {item.stage: item for item in branch(Path(base.results), variant)}
+    stages = {branched.stage: branched for branched in branch(Path(base.results), variant)}
     assert stages["halos"].n_removed == stages["scans"].n_removed == 2
     assert not any(path.exists() for path in stage_files(variant, "halos"))
     assert all(path.exists() for path in stage_files(base, "halos"))
     back = branch(Path(base.results), _taken(base, "results/variant"))
-    assert all(item.complete for item in back)
+    assert all(branched.complete for branched in back)
 
 
 def test_copies_across_file_systems(base: Config, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,13 +213,13 @@ def test_copies_across_file_systems(base: Config, monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(os, "link", refuse)
     variant = _taken(base, "results/variant")
-    assert all(item.complete for item in branch(Path(base.results), variant))
+    assert all(branched.complete for branched in branch(Path(base.results), variant))
     path, original = stage_files(variant, "scans")[0], stage_files(base, "scans")[0]
     assert not path.samefile(original)
     assert path.stat().st_mtime_ns == original.stat().st_mtime_ns
 
 
-def test_a_simulated_observation_of_other_haloes_is_not_the_same(base: Config) -> None:
+def test_a_simulated_observation_of_other_halos_is_not_the_same(base: Config) -> None:
     variant = _changed(base, "results/variant", halos={"preset": "calibrated"})
     stages = branch(Path(base.results), variant)
     assert _complete(stages) == set()

@@ -44,10 +44,10 @@ def test_no_lock_without_files(tmp_path: Path) -> None:
 
 def test_begin_and_end(tmp_path: Path) -> None:
     locks.begin(tmp_path, tmp_path / "results")
-    (found,) = locks.runs(tmp_path)
-    assert found.pid == os.getpid() and not found.gone
+    (run,) = locks.runs(tmp_path)
+    assert run.pid == os.getpid() and not run.gone
     locks.forget_gone(tmp_path)
-    assert locks.runs(tmp_path) == [found]
+    assert locks.runs(tmp_path) == [run]
     locks.end(tmp_path, tmp_path / "results")
     assert locks.runs(tmp_path) == []
 

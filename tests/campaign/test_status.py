@@ -1,4 +1,4 @@
-"""How far a campaign is: what is counted, what is opened, and what is said of the time left."""
+"""How far a campaign is: what is counted, what is opened, and how much time is left."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def _row(config: Config, stage: str) -> StageStatus:
     return next(row for row in campaign_status(config) if row.stage == stage)
 
 
-def test_samples_are_counted_and_an_artifact_that_is_made_anew_is_read_anew(config: Config) -> None:
+def test_samples_are_counted_and_a_recomputed_artifact_is_read_again(config: Config) -> None:
     first, second, *_ = stage_files(config, "halos")
     _write_chunk(first, [0, 0, 1])
     _write_chunk(second, [0, 0, 0])

@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from warmlens.artifacts.file import Header
 from warmlens.report.campaign_page import file_warnings
-from warmlens.report.provenance import ArtifactRow, Provenance, peak_memory
+from warmlens.report.provenance import CampaignProvenance, peak_memory
 
 HEAD = "s\th:m:s\tmax_rss\tcpu_time\n"
 
@@ -23,17 +24,36 @@ def test_peak_memory_is_the_largest_of_all_files_of_a_stage(tmp_path: Path) -> N
     assert peak_memory(tmp_path, "abc") is None, "no file"
 
 
-def _row(stage: str, commit: str, dirty: bool) -> ArtifactRow:
-    return ArtifactRow(stage, f"{stage}.h5", "d", "s", commit, dirty, "0.1.0", "2026-01-01T00:00:00+00:00", 1.0)
+def _header(stage: str, commit: str, dirty: bool) -> Header:
+    return Header(
+        path=Path(f"{stage}.h5"),
+        stage=stage,
+        schema=f"warmlens/{stage}",
+        schema_version=2,
+        digest="d",
+        settings={},
+        inputs={},
+        seed_key="",
+        span=None,
+        package_version="0.1.0",
+        git_commit=commit,
+        git_dirty=dirty,
+        created_utc="2026-01-01T00:00:00+00:00",
+        wall_seconds=1.0,
+    )
 
 
-def test_what_is_wrong_with_the_files_is_said() -> None:
-    fine = Provenance((_row("halos", "a", False), _row("abc", "a", False)), (), "", ())
-    assert file_warnings(fine) == []
-    rows = (_row("halos", "a", True), _row("mocks", "b", False), _row("abc", "b", True))
-    bad = Provenance(rows, tuple(f"mocks/{i}.h5" for i in range(6)), "abc.h5: its input has changed since", ())
-    said = file_warnings(bad)
-    assert said == [
+def _provenance(*headers: Header, missing: tuple[str, ...] = (), problem: str = "") -> CampaignProvenance:
+    return CampaignProvenance({f"{i}.h5": header for i, header in enumerate(headers)}, missing, problem, [])
+
+
+def test_what_is_wrong_with_the_files_is_listed() -> None:
+    assert file_warnings(_provenance(_header("halos", "a", False), _header("abc", "a", False))) == []
+    headers = (_header("halos", "a", True), _header("mocks", "b", False), _header("abc", "b", True))
+    missing = tuple(f"mocks/{i}.h5" for i in range(6))
+    assert file_warnings(
+        _provenance(*headers, missing=missing, problem="abc.h5: its input has changed since")
+    ) == [
         "the chain of artifacts is broken: abc.h5: its input has changed since",
         "6 artifacts of the campaign are no longer there: mocks/0.h5, mocks/1.h5, mocks/2.h5, mocks/3.h5 and 2 "
         "more",
@@ -44,5 +64,5 @@ def test_what_is_wrong_with_the_files_is_said() -> None:
 
 @pytest.mark.parametrize("commits", [("a",), ("b", "a", "b")])
 def test_commits_are_counted_once(commits: tuple[str, ...]) -> None:
-    rows = tuple(_row("halos", commit, False) for commit in commits)
-    assert Provenance(rows, (), "", ()).commits == tuple(sorted(set(commits)))
+    provenance = _provenance(*(_header("halos", commit, False) for commit in commits))
+    assert provenance.commits == tuple(sorted(set(commits)))

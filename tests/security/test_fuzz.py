@@ -24,7 +24,7 @@ from astropy.io import fits
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from warmlens.artifacts.chain import audit, check_chain, input_paths
+from warmlens.artifacts.chain import audit, check_chains, input_paths
 from warmlens.artifacts.file import (
     ArtifactError,
     Dataset,
@@ -330,7 +330,7 @@ def _read_artifact(path: Path) -> None:
     with user_errors(ArtifactError):
         read_observation(path)
     with user_errors(ArtifactError):
-        check_chain(path, {"observation": "0"})
+        check_chains([path], {"observation": "0"})
     with user_errors():
         audit({path: "observation"}, {})
 

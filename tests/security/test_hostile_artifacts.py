@@ -14,7 +14,7 @@ import h5py
 import numpy as np
 import pytest
 
-from warmlens.artifacts.chain import audit, check_chain, input_paths
+from warmlens.artifacts.chain import audit, check_chains, input_paths
 from warmlens.artifacts.file import (
     ArtifactError,
     Dataset,
@@ -329,7 +329,7 @@ def _campaign(tmp_path: Path) -> tuple[Path, Path]:
 
 def test_a_sound_chain(tmp_path: Path) -> None:
     _, deflections = _campaign(tmp_path)
-    check_chain(deflections, EXPECTED)
+    check_chains([deflections], EXPECTED)
     assert audit({deflections: "deflections"}, EXPECTED) == []
 
 
@@ -351,7 +351,7 @@ def test_inputs_stay_in_the_results_folder(tmp_path: Path) -> None:
     ):
         _with_input(deflections, recorded)
         with pytest.raises(ArtifactError, match="run the campaign again") as error:
-            check_chain(deflections, EXPECTED)
+            check_chains([deflections], EXPECTED)
         assert str(deflections) in str(error.value)
         findings = audit({deflections: "deflections"}, EXPECTED)
         assert [finding.path for finding in findings] == [deflections]
@@ -361,7 +361,7 @@ def test_the_results_folder_may_be_a_symbolic_link(tmp_path: Path) -> None:
     _campaign(tmp_path)
     (tmp_path / "scratch").symlink_to(tmp_path / "campaign")
     linked = tmp_path / "scratch/deflections/chunk-0000000-0000003.h5"
-    check_chain(linked, EXPECTED)
+    check_chains([linked], EXPECTED)
     assert audit({linked: "deflections"}, EXPECTED) == []
 
 
@@ -370,7 +370,7 @@ def test_an_artifact_that_is_its_own_input(tmp_path: Path) -> None:
     with h5py.File(deflections, "r+") as file:
         digest = file.attrs["digest"].decode()
         file.attrs["inputs"] = np.bytes_(json.dumps({"self": {"path": deflections.name, "digest": digest}}))
-    check_chain(deflections, EXPECTED)  # ends
+    check_chains([deflections], EXPECTED)  # ends
 
 
 def test_an_observation_may_come_from_anywhere_but_only_by_name(tmp_path: Path) -> None:
@@ -382,17 +382,17 @@ def test_an_observation_may_come_from_anywhere_but_only_by_name(tmp_path: Path) 
     for inputs in ({"F814W/science": image}, {"artifact": base}):
         _write(path, "observation", **inputs)
         assert audit({path: "observation"}, {}) == []
-        check_chain(path, {})
+        check_chains([path], {})
         with open_artifact(path) as artifact:
             assert list(input_paths(artifact, path).values()) == list(inputs.values())
     _with_input(path, "../../../etc/shadow", name="passwords")
     with pytest.raises(ArtifactError, match="an observation is not made from"):
-        check_chain(path, {})
+        check_chains([path], {})
     os.mkfifo(tmp_path / "fifo")
     for recorded in ("../fifo", "/dev/zero", "../data"):
         _with_input(path, recorded, name="F814W/science")
         with pytest.raises(ArtifactError, match="not a file"):
-            check_chain(path, {})
+            check_chains([path], {})
 
 
 # ---------------------------------------------------------------------------------------------- stages

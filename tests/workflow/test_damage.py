@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warmlens.artifacts.chain import audit, check_chain
+from warmlens.artifacts.chain import audit, check_chains
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.status import read_campaign
@@ -88,7 +88,7 @@ def test_flipped_in_an_array(damaged: tuple[str, Path], config: Config, tmp_path
         _refused(config, stage, path, tmp_path, outcome, words)
         return
     with pytest.raises(ArtifactError) as error:  # whose arrays the figures and the report read
-        check_chain(path, stage_digests(config))
+        check_chains([path], stage_digests(config))
     outcome.stops(str(error.value), words, path.name, "run the campaign")
 
 
@@ -196,7 +196,7 @@ def _foreign(
     _, path = damaged
     with_settings(path, change)
     with pytest.raises(ArtifactError) as error:
-        check_chain(artifact_of(config, "abc"), stage_digests(config))
+        check_chains([artifact_of(config, "abc")], stage_digests(config))
     outcome.stops(
         str(error.value),
         "made with other settings or an older version of its stage",

@@ -65,10 +65,10 @@ def test_report_says_what_the_numbers_say(finished: Project, report: Path) -> No
 def test_provenance_lists_every_artifact(finished: Project) -> None:
     campaign = read_report(finished.results, CAPTIONS)
     provenance = read_provenance(finished.results, campaign.config)
-    digests = {row.name: row.digest for row in provenance.artifacts}
+    digests = {name: header.digest for name, header in provenance.artifacts.items()}
     assert digests == finished.digests()
     assert not provenance.missing
-    assert all(cost.peak_mib is not None for cost in provenance.costs)
+    assert all(cost["peak_mib"] is not None for cost in provenance.costs)
     html = report_html(campaign, provenance)
     assert all(f'title="{digest}"' in html for digest in digests.values())
 

@@ -1,25 +1,25 @@
-"""Walking the chain of artifacts: from the posterior back to the observation."""
+"""The chain of artifacts from the posterior back to the observation, followed in one place."""
 
 from __future__ import annotations
 
+import itertools
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from warmlens.artifacts.file import (
-    SCHEMA_VERSION,
-    Artifact,
     ArtifactError,
+    Header,
     content_digest,
     input_digest,
     open_artifact,
+    read_header,
     reading,
 )
 from warmlens.artifacts.names import results_folder
-from warmlens.config.digest import settings_digest
 from warmlens.config.observation import FITS_FILES
 
 Verdict = Literal["ok", "missing", "damaged", "altered", "settings", "inputs", "manifest"]
@@ -30,142 +30,183 @@ _THREADS = 2  # HDF5 reads one dataset at a time; the other thread hashes meanwh
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong with one artifact, or another file of a campaign."""
+    """Something wrong with one artifact, or another file of a campaign; `cause` is the error of reading it."""
 
     path: Path
     problem: str
     kind: Verdict
+    cause: Exception | None = field(default=None, compare=False)
 
-
-@dataclass(frozen=True)
-class Header:
-    """What an artifact says of itself: its attributes, without the contents.
-
-    Attributes
-    ----------
-    stage, schema, schema_version
-        What it holds, and how.
-    digest, settings
-        SHA-256 of its content, and what it was made with.
-    inputs
-        Of every input by name: its path as recorded, where that is, and the digest that it had.
-    package_version, git_commit, git_dirty
-        The code that made it.
-    created_utc, wall_seconds
-        When it was written, and how long it took.
-    """
-
-    stage: str
-    schema: str
-    schema_version: int
-    digest: str
-    settings: dict[str, Any]
-    inputs: dict[str, tuple[str, Path, str]]
-    package_version: str
-    git_commit: str
-    git_dirty: bool
-    created_utc: str
-    wall_seconds: float
-
-    @property
-    def settings_sha256(self) -> str:
-        """SHA-256 of the settings."""
-        return settings_digest(self.settings)
+    def to_error(self) -> ArtifactError:
+        """Return the error for a program that needs the artifact."""
+        if isinstance(self.cause, ArtifactError):  # names the file that cannot be read, and its own remedy
+            return self.cause
+        return ArtifactError(f"{self.path}: {self.problem}; {_REMEDY}")
 
 
 @dataclass(frozen=True)
 class Record:
-    """What an audit found of one artifact; no header if it is missing or cannot be read."""
+    """An artifact that was examined: its header, where its inputs lie, and what is wrong.
+
+    The header is None if the artifact is missing or cannot be read.
+    """
 
     path: Path
     stage: str
     header: Header | None = None
-    findings: tuple[Finding, ...] = field(default=())
+    sources: Mapping[str, Path] = field(default_factory=dict)
+    findings: tuple[Finding, ...] = ()
 
     @property
     def verdict(self) -> Verdict:
-        """What is wrong first of all; "ok" if nothing is."""
+        """Kind of the first finding; "ok" without any."""
         return self.findings[0].kind if self.findings else "ok"
 
+    def sound_header(self) -> Header:
+        """Return the header, or raise the first finding as an `ArtifactError` with what to do."""
+        if self.findings:
+            raise self.findings[0].to_error()
+        assert self.header is not None
+        return self.header
 
-def read_header(artifact: Artifact, place: Path) -> Header:
-    """Attributes of an open artifact that lies at `place`.
 
-    Raises
-    ------
-    ArtifactError
-        If an input is no artifact of the same results folder.
+class Chain:
+    """Compare artifacts of a campaign with one another; the header of an input is read once.
+
+    `expected_settings` has the digest of the settings of every stage under the configuration of the campaign.
     """
-    sources = input_paths(artifact, place)
-    return Header(
-        stage=artifact.stage,
-        schema=artifact.text("schema"),
-        schema_version=SCHEMA_VERSION,  # no other is opened
-        digest=artifact.digest,
-        settings=artifact.settings,
-        inputs={name: (item["path"], sources[name], item["digest"]) for name, item in artifact.inputs.items()},
-        package_version=artifact.text("package_version"),
-        git_commit=artifact.text("git_commit"),
-        git_dirty=artifact.git_dirty,
-        created_utc=artifact.text("created_utc"),
-        wall_seconds=artifact.wall_seconds,
-    )
+
+    def __init__(self, expected_settings: Mapping[str, str]) -> None:
+        self._expected = expected_settings
+        self._read: dict[Path, tuple[Header, dict[str, Path]]] = {}
+
+    def compare(self, path: Path, stage: str = "", *, hashed: bool = False, place: Path | None = None) -> Record:
+        """Compare an artifact with the settings of its stage, and with its inputs as they are now.
+
+        An artifact of another `stage` counts as damaged; "" stands for any. If `hashed`, its content is compared
+        with its digest, too. Its inputs are looked for as if it were at `place`, if that is given.
+        """
+        header: Header | None = None
+        sources: dict[str, Path] = {}
+        findings: list[Finding] = []
+        try:
+            if hashed or stage or path not in self._read:
+                with open_artifact(path, *filter(None, [stage])) as artifact, reading(path):
+                    sources = input_paths(artifact, place)
+                    header = artifact.header
+                    self._read[path] = header, sources
+                    if hashed and content_digest(artifact.file, artifact.metadata) != header.digest:
+                        findings.append(Finding(path, "altered: its content does not match its digest", "altered"))
+        except (ArtifactError, OSError) as error:
+            damaged = Finding(path, f"damaged: {error}", "damaged", error)
+            missing = Finding(path, "missing", "missing", error)
+            return Record(path, stage, header, sources, (damaged if path.exists() else missing,))
+        header, sources = self._read[path]
+        wanted = self._expected.get(header.stage)
+        if wanted is not None and header.settings_sha256 != wanted:
+            problem = "made with other settings or an older version of its stage"
+            findings.append(Finding(path, problem, "settings"))
+        findings += self._compare_inputs(header, sources)
+        return Record(path, stage, header, sources, tuple(findings))
+
+    def _compare_inputs(self, header: Header, sources: Mapping[str, Path]) -> Iterator[Finding]:
+        for name, source in sources.items():
+            recorded = header.inputs[name]
+            label = f"its input {name} ({recorded['path']})"
+            try:
+                if not os.path.exists(source):  # noqa: PTH110 (False for a path that the system refuses)
+                    yield Finding(header.path, f"{label} is missing", "inputs")
+                elif self._digest(source, header.stage) != recorded["digest"]:
+                    yield Finding(header.path, f"{label} has changed since", "inputs")
+            except (ArtifactError, OSError) as error:
+                yield Finding(header.path, f"{label} cannot be read: {error}", "inputs", error)
+
+    def _digest(self, source: Path, user: str) -> str:
+        """Digest of an input of the stage `user`."""
+        if user == "observation":  # made from files of the user
+            return input_digest(source)
+        if source not in self._read:
+            header = read_header(source)
+            self._read[source] = header, input_paths(header)
+        return self._read[source][0].digest
 
 
-def check_chain(path: Path, expected: Mapping[str, str]) -> None:
-    """Check that an artifact and all it was made from had the expected settings and are unchanged since.
-
-    Of the artifact itself the content is hashed too, of those that it was made from `audit` does that.
+def walk(
+    files: Mapping[Path, str],
+    expected_settings: Mapping[str, str],
+    hashed: Collection[Path] = (),
+    done: Callable[[Path], None] = lambda _: None,
+) -> Iterator[Record]:
+    """Examine artifacts, then everything that they were made from, back to the observation.
 
     Parameters
     ----------
-    path
-        The last artifact of the chain.
-    expected
+    files
+        Artifacts and their stages; "" for any.
+    expected_settings
         Digest of the settings of every stage.
+    hashed
+        Those whose content is compared with its digest.
+    done
+        Called with the path of every artifact, from several threads.
+
+    Yields
+    ------
+    Record
+        Of all `files` in their order, then of each other artifact that a sound one was made from.
+    """
+    chain = Chain(expected_settings)
+
+    def compare(path: Path, stage: str) -> Record:
+        record = chain.compare(path, stage, hashed=path in hashed)
+        done(path)
+        return record
+
+    seen = {path.resolve() for path in files}
+    with ThreadPoolExecutor(_THREADS) as pool:
+        while files:
+            sources: set[Path] = set()
+            for record in pool.map(compare, files.keys(), files.values()):
+                yield record
+                if record.header and not record.findings and record.header.stage != "observation":
+                    sources.update(record.sources.values())  # those of an observation are files of the user
+            files = {source: "" for source in sorted(sources) if source.resolve() not in seen}
+            seen |= {source.resolve() for source in files}
+
+
+def check_chains(paths: Iterable[Path], expected_settings: Mapping[str, str]) -> None:
+    """Check that artifacts and all that they were made from have the expected settings and are unchanged since.
+
+    Of the artifacts themselves the content is hashed too; for those that they were made from, `audit` does that.
+    Paths that do not end in .h5 are ignored.
 
     Raises
     ------
     ArtifactError
         Naming the first artifact that does not fit, and what to do.
     """
-    check_chains([path], expected)
+    files = {path: "" for path in paths if path.suffix == ".h5"}
+    for record in walk(files, expected_settings, hashed=files):
+        record.sound_header()
 
 
-def check_chains(paths: Iterable[Path], expected: Mapping[str, str]) -> None:
-    """Check several artifacts as `check_chain` does; what they have in common is read once."""
-    headers: dict[Path, Header] = {}
-    given = [path.resolve() for path in paths if path.suffix == ".h5"]
-    for path in given:
-        with open_artifact(path) as artifact, reading(path):
-            altered = _check_content(artifact)
-        if altered:
-            raise ArtifactError(f"{path}: {altered[0].problem}; {_REMEDY}")
-    seen: set[Path] = set()
-    pending = given[::-1]
-    while pending:
-        current = pending.pop()
-        if current in seen:
-            continue
-        seen.add(current)
-        header = _header(current, headers)
-        findings = [*_check_settings(current, header, expected), *_check_inputs(current, header, headers)]
-        if findings:
-            first = findings[0]
-            raise ArtifactError(f"{first.path}: {first.problem}; {_REMEDY}")
-        if header.stage != "observation":  # what that is made from belongs to another campaign
-            pending += [source.resolve() for _, source, _ in header.inputs.values() if source.suffix == ".h5"]
+def examine(
+    files: Mapping[Path, str],
+    expected_settings: Mapping[str, str],
+    done: Callable[[Path], None] = lambda _: None,
+) -> list[Record]:
+    """Re-hash every artifact of a campaign, and compare its settings and inputs; see `walk` for the arguments."""
+    records = walk(files, expected_settings, hashed=files, done=done)
+    return list(itertools.islice(records, len(files)))  # others that these were made from are no part of it
 
 
-def _header(path: Path, known: dict[Path, Header]) -> Header:
-    if path not in known:
-        with open_artifact(path) as artifact:
-            known[path] = read_header(artifact, path)
-    return known[path]
+def audit(files: Mapping[Path, str], expected_settings: Mapping[str, str]) -> list[Finding]:
+    """Return everything that `examine` finds wrong."""
+    return [finding for record in examine(files, expected_settings) for finding in record.findings]
 
 
-def input_paths(artifact: Artifact, place: Path) -> dict[str, Path]:
-    """Where the inputs of an artifact are, by name, if it lies at `place`.
+def input_paths(header: Header, place: Path | None = None) -> dict[str, Path]:
+    """Return where the inputs of an artifact are, by name, if it lies at `place`, or where it was opened.
 
     Inputs are artifacts of the same results folder. Only an observation is made from files of the user, or from
     the observation of another campaign, which may be anywhere.
@@ -175,104 +216,21 @@ def input_paths(artifact: Artifact, place: Path) -> dict[str, Path]:
     ArtifactError
         If an input, its symbolic links followed, is anything else.
     """
+    place = place or header.path
     allowed = (*FITS_FILES, "artifact")
-    if artifact.stage == "observation" and any(name.rpartition("/")[2] not in allowed for name in artifact.inputs):
-        raise ArtifactError(f"{artifact.path}: an observation is not made from {[*artifact.inputs]}; {_REMEDY}")
+    if header.stage == "observation" and any(name.rpartition("/")[2] not in allowed for name in header.inputs):
+        raise ArtifactError(f"{header.path}: an observation is not made from {[*header.inputs]}; {_REMEDY}")
     # normalised, for the folder of `place` may not be there yet
-    sources = {name: Path(os.path.normpath(place.parent / item["path"])) for name, item in artifact.inputs.items()}
-    if artifact.stage == "observation":
+    sources = {name: Path(os.path.normpath(place.parent / each["path"])) for name, each in header.inputs.items()}
+    if header.stage == "observation":
         return sources
-    folder = results_folder(place.absolute(), artifact.stage).resolve()
+    folder = results_folder(place.absolute(), header.stage).resolve()
     for name, source in sources.items():
-        with reading(artifact.path, f"the path of its input {name}"):
+        with reading(header.path, f"the path of its input {name}"):
             inside = source.suffix == ".h5" and source.resolve().is_relative_to(folder)
         if not inside:
             raise ArtifactError(
-                f"{artifact.path}: its input {name} ({artifact.inputs[name]['path']}) is no artifact of the "
+                f"{header.path}: its input {name} ({header.inputs[name]['path']}) is no artifact of the "
                 f"results folder {folder}; {_REMEDY}"
             )
     return sources
-
-
-def audit(expected_files: Mapping[Path, str], expected_settings: Mapping[str, str]) -> list[Finding]:
-    """Re-hash every artifact and follow every link.
-
-    Parameters
-    ----------
-    expected_files
-        Every artifact of the campaign and its stage.
-    expected_settings
-        Digest of the settings of every stage under the campaign's configuration.
-
-    Returns
-    -------
-    list of Finding
-        Every artifact that is missing, damaged, altered, made with other settings or code, or made from an
-        input that has since changed; empty if all is well.
-    """
-    return [finding for record in examine(expected_files, expected_settings) for finding in record.findings]
-
-
-def examine(
-    expected_files: Mapping[Path, str],
-    expected_settings: Mapping[str, str],
-    done: Callable[[Path], None] = lambda _: None,
-) -> list[Record]:
-    """What `audit` finds, artifact by artifact, in the order of `expected_files`; each is told to `done`."""
-    headers: dict[Path, Header] = {}
-
-    def one(item: tuple[Path, str]) -> Record:
-        record = _examine(*item, expected_settings, headers)
-        done(item[0])
-        return record
-
-    with ThreadPoolExecutor(_THREADS) as pool:
-        return list(pool.map(one, expected_files.items()))
-
-
-def _examine(path: Path, stage: str, expected: Mapping[str, str], known: dict[Path, Header]) -> Record:
-    if not path.exists():
-        return Record(path, stage, None, (Finding(path, "missing", "missing"),))
-    header = None
-    findings: list[Finding] = []
-    try:
-        with open_artifact(path, stage) as artifact, reading(path):
-            header = read_header(artifact, path)
-            findings += _check_content(artifact)
-    except (ArtifactError, OSError) as error:
-        return Record(path, stage, header, (Finding(path, f"damaged: {error}", "damaged"),))
-    findings += _check_settings(path, header, expected)
-    try:
-        findings += _check_inputs(path, header, known)
-    except (ArtifactError, OSError) as error:
-        findings.append(Finding(path, f"an input cannot be read: {error}", "inputs"))
-    return Record(path, stage, header, tuple(findings))
-
-
-def _check_content(artifact: Artifact) -> list[Finding]:
-    if content_digest(artifact.file, artifact.metadata) != artifact.digest:
-        return [Finding(artifact.path, "altered: its content does not match its digest", "altered")]
-    return []
-
-
-def _check_settings(path: Path, header: Header, expected: Mapping[str, str]) -> list[Finding]:
-    wanted = expected.get(header.stage)
-    if wanted is not None and header.settings_sha256 != wanted:
-        return [Finding(path, "made with other settings or an older version of its stage", "settings")]
-    return []
-
-
-def _check_inputs(path: Path, header: Header, known: dict[Path, Header]) -> list[Finding]:
-    findings = []
-    for name, (recorded, source, digest) in header.inputs.items():
-        if not os.path.exists(source):  # noqa: PTH110 (a path that the system refuses is no file either)
-            findings.append(Finding(path, f"its input {name} ({recorded}) is missing", "inputs"))
-        elif _digest(source, header, known) != digest:
-            findings.append(Finding(path, f"its input {name} ({recorded}) has changed since", "inputs"))
-    return findings
-
-
-def _digest(source: Path, of: Header, known: dict[Path, Header]) -> str:
-    if of.stage == "observation":  # made from files of the user
-        return input_digest(source)
-    return _header(source.resolve(), known).digest

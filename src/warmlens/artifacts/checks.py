@@ -1,11 +1,11 @@
-"""HDF5 files are data of unknown origin: what an artifact may consist of, checked before anything is read.
+"""HDF5 files are data of unknown origin: check what an artifact consists of before anything is read.
 
-An artifact holds plain arrays behind plain links, all of it stored in the file itself. Everything else that
-HDF5 knows (links and storage in other files, virtual datasets, references, filters from plugins) is refused, and
-so is whatever would need far more memory than the file suggests.
+An artifact holds plain arrays behind plain links, all stored in the file itself. Everything else that HDF5 knows
+(links and storage in other files, virtual datasets, references, filters from plugins) is refused, and so is what
+needs far more memory than the size of the file suggests.
 
-Text has a fixed length. Of variable length it lies in a heap without checksums, in which HDF5 2.0 searches for
-ever if one byte is damaged: no such text is read.
+Text must have a fixed length: text of variable length lies in a heap without checksums, in which HDF5 2.0
+searches for ever if one byte is damaged.
 """
 
 from __future__ import annotations
@@ -36,18 +36,11 @@ _LAYOUTS = frozenset({h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED})
 
 
 class UnusableFileError(ValueError):
-    """What is in the file that no artifact has."""
+    """The file holds something that no artifact has."""
 
 
 def dataset_names(file: h5py.File, file_bytes: int) -> tuple[str, ...]:
-    """Names of all datasets, sorted, after checking every group and dataset of the file.
-
-    Parameters
-    ----------
-    file
-        Open file.
-    file_bytes
-        Its size on disk.
+    """Return the sorted names of all datasets, after checking every group and dataset of a file of `file_bytes`.
 
     Raises
     ------
@@ -116,19 +109,19 @@ def _check_packed_chunks(node: h5py.h5d.DatasetID, name: str) -> None:
 
 
 def text_attribute(node: h5py.HLObject, name: str) -> str:
-    """Attribute that is one string of UTF-8."""
-    found = _attribute(node, name)
-    if found.shape != () or found.dtype.kind != "S":
+    """Read an attribute that is one string of UTF-8."""
+    attribute = _attribute(node, name)
+    if attribute.shape != () or attribute.dtype.kind != "S":
         raise UnusableFileError(f"its attribute {name!r} is not text")
-    if found.dtype.itemsize > _MAX_TEXT:
-        raise UnusableFileError(f"its attribute {name!r} is {found.dtype.itemsize} bytes long")
+    if attribute.dtype.itemsize > _MAX_TEXT:
+        raise UnusableFileError(f"its attribute {name!r} is {attribute.dtype.itemsize} bytes long")
     return _decoded(node.attrs[name], name)
 
 
 def texts_attribute(node: h5py.HLObject, name: str) -> tuple[str, ...]:
-    """Attribute that is a list of strings of UTF-8."""
-    found = _attribute(node, name)
-    if len(found.shape) != 1 or found.dtype.kind != "S":
+    """Read an attribute that is a list of strings of UTF-8."""
+    attribute = _attribute(node, name)
+    if len(attribute.shape) != 1 or attribute.dtype.kind != "S":
         raise UnusableFileError(f"its attribute {name!r} is no list of texts")
     return tuple(_decoded(text, name) for text in node.attrs[name])
 
@@ -143,7 +136,7 @@ def _decoded(text: bytes, name: str) -> str:
 def json_attribute(
     node: h5py.HLObject, name: str, make: Callable[[dict[str, Any]], dict[str, Any]] = dict
 ) -> dict[str, Any]:
-    """Attribute that is a JSON object; `make` builds every object in it."""
+    """Read an attribute that is a JSON object; `make` builds every object in it."""
     try:
         value = json.loads(text_attribute(node, name), object_hook=make)
     except RecursionError:
@@ -156,32 +149,30 @@ def json_attribute(
 
 
 def inputs_attribute(node: h5py.HLObject, name: str) -> dict[str, dict[str, str]]:
-    """Attribute that records a path and a digest for every input."""
-    recorded = json_attribute(node, name)
-    for key, item in recorded.items():
-        if not (
-            isinstance(item, dict)
-            and item.keys() == {"path", "digest"}
-            and all(isinstance(value, str) for value in item.values())
-        ):
+    """Read an attribute that records a path and a digest for every input."""
+    inputs = json_attribute(node, name)
+    for key, recorded in inputs.items():
+        known = isinstance(recorded, dict) and recorded.keys() == {"path", "digest"}
+        if not known or not all(isinstance(value, str) for value in recorded.values()):
             raise UnusableFileError(f"its input {key!r} is not recorded as a path and a digest")
-    return recorded
+    return inputs
 
 
 def number_attribute(node: h5py.HLObject, name: str) -> float:
-    """Attribute that is one finite number."""
-    found = _attribute(node, name)
-    if found.shape != () or found.dtype.kind not in "biuf" or not math.isfinite(float(node.attrs[name])):
+    """Read an attribute that is one finite number."""
+    attribute = _attribute(node, name)
+    numeric = attribute.shape == () and attribute.dtype.kind in "biuf"
+    if not numeric or not math.isfinite(float(node.attrs[name])):
         raise UnusableFileError(f"its attribute {name!r} is not a finite number")
     return float(node.attrs[name])
 
 
 def span_attribute(node: h5py.HLObject, name: str) -> tuple[int, int] | None:
-    """Attribute that is a span (start, stop), or None if it is empty."""
-    found = _attribute(node, name)
-    if found.dtype.kind not in "biuf" or found.shape not in ((0,), (2,)):
+    """Read an attribute that is a span (start, stop); None if it is empty."""
+    attribute = _attribute(node, name)
+    if attribute.dtype.kind not in "biuf" or attribute.shape not in ((0,), (2,)):
         raise UnusableFileError(f"its attribute {name!r} is no span")
-    if found.shape == (0,):
+    if attribute.shape == (0,):
         return None
     start, stop = (float(edge) for edge in node.attrs[name])
     if not (0 <= start < stop <= _MAX_EDGE and start.is_integer() and stop.is_integer()):
@@ -190,11 +181,10 @@ def span_attribute(node: h5py.HLObject, name: str) -> tuple[int, int] | None:
 
 
 def seal(file: h5py.File, names: Iterable[str]) -> str:
-    """SHA-256 over what HDF5 may have no checksum of: attributes that are text, and datasets without chunks.
+    """Return the SHA-256 of what HDF5 may have no checksum of: attributes that are text, datasets without chunks.
 
-    Headers have one, and so has every chunk of an array. With the seal no flipped bit goes unnoticed in anything
-    that is computed with, though the arrays, which may be large, are not hashed. Left out are the units and
-    descriptions of datasets.
+    Headers and chunks of arrays have checksums. With the seal, a flipped bit is detected in everything that is
+    computed with, without hashing the large arrays. Units and descriptions of datasets are left out.
     """
     sha = hashlib.sha256()
     for name in _SEALED:
@@ -207,13 +197,13 @@ def seal(file: h5py.File, names: Iterable[str]) -> str:
 
 
 def check_seal(file: h5py.File, names: Iterable[str]) -> None:
-    """Refuse a file whose texts or single numbers have changed; files of early versions have no seal."""
+    """Refuse a file whose texts or single numbers have changed. Files of early versions have no seal."""
     if "seal" in file.attrs and text_attribute(file, "seal") != seal(file, names):
         raise UnusableFileError("its attributes, texts or single numbers have changed since it was written")
 
 
 def check_name(stem: str, span: tuple[int, int] | None) -> None:
-    """Refuse a chunk or shard that holds another span than its name says, as when two were swapped."""
+    """Refuse a chunk or shard that holds another span than in its name, as when two were swapped."""
     named = _SPAN_IN_NAME.fullmatch(stem)
     if named and span != (int(named[1]), int(named[2])):
         raise UnusableFileError(f"its name says {named[1]} to {named[2]}, but it holds {span}")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 @cache
 def code_commit() -> tuple[str, bool]:
-    """Git commit of the running code and whether it was changed since; ("unknown", False) outside git."""
+    """Return the git commit of the running code and whether it has changed; ("unknown", False) outside git."""
     folder = Path(__file__).parents[1]
 
     def git(*arguments: str) -> str | None:

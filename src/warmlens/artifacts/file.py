@@ -1,4 +1,4 @@
-"""HDF5 artifacts: written whole or not at all, with units, provenance and a digest of their content."""
+"""HDF5 artifacts: written completely or not at all, with units, provenance and a digest of their content."""
 
 from __future__ import annotations
 
@@ -37,26 +37,19 @@ from warmlens.config.digest import canonical_json, settings_digest
 
 SCHEMA_VERSION = 2  # 1 had text of variable length
 _LIBVER = ("v110", "v110")
+_SPARE_BYTES = 2**20
+_REMEDY = "delete the file and run the campaign again: only it and what depends on it is recomputed"
 
 
 class ArtifactError(RuntimeError):
-    """An artifact that is missing, damaged, of another kind, or cannot be written."""
+    """An artifact is missing, damaged, of another kind, or cannot be written."""
 
 
 @dataclass(frozen=True)
 class Dataset:
-    """One array of an artifact.
+    """One array of an artifact, with one name per dimension in `axes`.
 
-    Attributes
-    ----------
-    data
-        Numbers of any shape, or a list of strings.
-    unit
-        As astropy writes it; "" for pure numbers.
-    axes
-        A name per dimension.
-    description
-        One line.
+    `unit` is as astropy writes it, "" for pure numbers; `description` is one line.
     """
 
     data: npt.NDArray[Any] | list[str]
@@ -78,23 +71,49 @@ class Provenance:
 
 
 @dataclass(frozen=True)
-class Artifact:
-    """An open artifact: `artifact["name"][...]` reads a dataset.
+class Header:
+    """What an artifact at `path` states about itself: its attributes, without its contents.
+
+    `digest` is the SHA-256 of metadata and datasets. `inputs` has for each name the "path" of the input, relative
+    to the folder of the artifact, and the "digest" that it had. Code with uncommitted changes is `git_dirty`.
+    """
+
+    path: Path
+    stage: str
+    schema: str
+    schema_version: int
+    digest: str
+    settings: dict[str, Any]
+    inputs: dict[str, dict[str, str]]
+    seed_key: str
+    span: tuple[int, int] | None
+    package_version: str
+    git_commit: str
+    git_dirty: bool
+    created_utc: str
+    wall_seconds: float
+
+    @property
+    def settings_sha256(self) -> str:
+        """SHA-256 of the settings, computed from them."""
+        return settings_digest(self.settings)
+
+
+@dataclass(frozen=True)
+class Artifact(Header):
+    """An open artifact, with its header: `artifact["name"][...]` reads a dataset.
 
     What the file consists of, and every attribute, was checked when it was opened.
     """
 
-    path: Path
     file: h5py.File
     names: tuple[str, ...]
-    stage: str
-    digest: str
     metadata: dict[str, Any]
-    settings: dict[str, Any]
-    inputs: dict[str, dict[str, str]]
-    span: tuple[int, int] | None
-    wall_seconds: float
-    git_dirty: bool
+
+    @property
+    def header(self) -> Header:
+        """The header alone, to be kept when the file is closed."""
+        return Header(**{name: getattr(self, name) for name in Header.__dataclass_fields__})
 
     def __getitem__(self, name: str) -> h5py.Dataset:
         """Dataset `name`, not yet read."""
@@ -103,7 +122,7 @@ class Artifact:
         return self.file[name]
 
     def array(self, name: str, rows: Any = ...) -> npt.NDArray[Any]:
-        """Dataset `name` of numbers, read whole, or what an index picks of it."""
+        """Read a dataset of numbers, or the part of it that the index `rows` picks."""
         node = self[name]
         with reading(self.path, f"dataset {name!r}"):
             if node.dtype.kind == "S":
@@ -111,7 +130,7 @@ class Artifact:
             return node[rows]
 
     def strings(self, name: str) -> list[str]:
-        """Dataset `name` of strings, read whole."""
+        """Read a dataset of strings."""
         node = self[name]
         with reading(self.path, f"dataset {name!r}"):
             if node.dtype.kind != "S":
@@ -119,12 +138,12 @@ class Artifact:
             return [text.decode() for text in node[...]]
 
     def text(self, name: str) -> str:
-        """Attribute `name` of the file, which is text."""
+        """Read an attribute of the file that is text."""
         with reading(self.path, f"attribute {name!r}"):
             return text_attribute(self.file, name)
 
     def dataset(self, name: str) -> Dataset:
-        """Dataset `name`, read whole with its unit, axes and description."""
+        """Read a dataset with its unit, axes and description."""
         node = self[name]
         data = self.strings(name) if node.dtype.kind == "S" else self.array(name)
         with reading(self.path, f"dataset {name!r}"):
@@ -136,7 +155,7 @@ class Artifact:
 
 
 class _Recorded(dict[str, Any]):
-    """JSON object of an artifact's metadata: a key that it lacks is an error that names the file."""
+    """JSON object of an artifact's metadata, which raises an `ArtifactError` for a key that it lacks."""
 
     def __init__(self, path: Path, content: Mapping[str, Any]) -> None:
         super().__init__(content)
@@ -146,16 +165,11 @@ class _Recorded(dict[str, Any]):
         raise ArtifactError(f"{self._path}: its metadata have no {key!r}; it was written by other code: {_REMEDY}")
 
 
-_SPARE_BYTES = 2**20
-_DESCRIPTIVE = ("schema", "package_version", "git_commit", "settings_sha256", "seed_key", "created_utc")
-_REMEDY = "delete the file and run the campaign again: only it and what depends on it is made anew"
-
-
 @contextlib.contextmanager
 def reading(path: Path, what: str = "the file") -> Iterator[None]:
-    """Whatever goes wrong while an artifact is read, as an `ArtifactError` that names it.
+    """Turn any error while reading an artifact into an `ArtifactError` that names the file.
 
-    h5py has no error class of its own, and what a file of other origin holds may fit nothing that is read.
+    h5py has no error class of its own, and the content of a hostile file may raise anything.
     """
     try:
         yield
@@ -180,73 +194,19 @@ def write_artifact(
     ArtifactError
         If the disk is full or the folder cannot be written; no partial file is left.
     """
-    n_bytes = sum(item.data.nbytes for item in datasets.values() if not isinstance(item.data, list))
-    with atomic_path(path, n_bytes) as temporary:
-        return _write_file(temporary, provenance, datasets, metadata, path.parent)
-
-
-@contextlib.contextmanager
-def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
-    """A temporary name beside `path` to write to; synced and renamed when all went well, removed otherwise.
-
-    Parameters
-    ----------
-    path
-        File to make.
-    n_bytes
-        About how large it will be. Room is asked for first: HDF5 ends badly on a disk that fills up under it.
-
-    Raises
-    ------
-    ArtifactError
-        If there is no room, or the file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.tmp-{os.getpid()}")  # no name that a pattern *.h5 would match
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        for abandoned in path.parent.glob(f".{path.name}.tmp-*"):  # of a killed job
-            abandoned.unlink()
-        free = shutil.disk_usage(path.parent).free
-        if free < n_bytes + _SPARE_BYTES:
-            raise OSError(errno.ENOSPC, f"{free / 2**20:.0f} MiB free, {n_bytes / 2**20:.0f} MiB needed")
-        yield temporary
-        with temporary.open("rb") as handle:
-            os.fsync(handle.fileno())
-        temporary.replace(path)
-    except (OSError, RuntimeError) as error:  # h5py reports a failed flush as RuntimeError
-        if isinstance(error, ArtifactError):
-            raise
-        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
-        reason, remedy = (f"the disk is full ({error})", "make room") if full else (str(error), "mend that")
-        raise ArtifactError(
-            f"{path}: could not be written: {reason}. Finished artifacts are intact; "
-            f"{remedy} and start the campaign again"
-        ) from error
-    finally:
-        if temporary.exists():  # on a read-only disk nothing can be removed, though nothing is there
-            temporary.unlink()
-
-
-def _write_file(
-    target: Path,
-    provenance: Provenance,
-    datasets: Mapping[str, Dataset],
-    metadata: Mapping[str, Any],
-    folder: Path,
-) -> str:
-    inputs = {
-        name: {"path": os.path.relpath(source, folder), "digest": input_digest(source)}
-        for name, source in provenance.inputs.items()
-    }
+    n_bytes = sum(each.data.nbytes for each in datasets.values() if not isinstance(each.data, list))
     commit, dirty = code_commit()
-    with h5py.File(target, "w", libver=_LIBVER, track_order=True) as file:
-        for name, dataset in datasets.items():
-            _write_dataset(file, name, dataset)
-        file.flush()
-        digest = content_digest(file, metadata)
-        _set_attributes(
-            file,
-            {
+    with atomic_path(path, n_bytes) as temporary:
+        inputs = {
+            name: {"path": os.path.relpath(source, path.parent), "digest": input_digest(source)}
+            for name, source in provenance.inputs.items()
+        }
+        with h5py.File(temporary, "w", libver=_LIBVER, track_order=True) as file:
+            for name, dataset in datasets.items():
+                _write_dataset(file, name, dataset)
+            file.flush()
+            digest = content_digest(file, metadata)
+            attributes = {
                 "schema": f"warmlens/{provenance.stage}",
                 "schema_version": SCHEMA_VERSION,
                 "stage": provenance.stage,
@@ -263,10 +223,47 @@ def _write_file(
                 "wall_seconds": time.monotonic() - provenance.started,
                 "digest": digest,
                 "complete": 1,
-            },
-        )
-        _set_attributes(file, {"seal": seal(file, dataset_names(file, target.stat().st_size))})
+            }
+            _set_attributes(file, attributes)
+            _set_attributes(file, {"seal": seal(file, dataset_names(file, temporary.stat().st_size))})
     return digest
+
+
+@contextlib.contextmanager
+def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
+    """Yield a temporary name in the folder of `path` to write to; sync and rename it, or remove it after an error.
+
+    The free space is compared with the expected size `n_bytes` first: HDF5 crashes when a disk fills up.
+
+    Raises
+    ------
+    ArtifactError
+        If there is no room, or the file cannot be written.
+    """
+    temporary = path.with_name(f".{path.name}.tmp-{os.getpid()}")  # which *.h5 does not match
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        for left_over in path.parent.glob(f".{path.name}.tmp-*"):  # of a killed job
+            left_over.unlink()
+        free = shutil.disk_usage(path.parent).free
+        if free < n_bytes + _SPARE_BYTES:
+            raise OSError(errno.ENOSPC, f"{free / 2**20:.0f} MiB free, {n_bytes / 2**20:.0f} MiB needed")
+        yield temporary
+        with temporary.open("rb") as handle:
+            os.fsync(handle.fileno())
+        temporary.replace(path)
+    except (OSError, RuntimeError) as error:  # h5py reports a failed flush as RuntimeError
+        if isinstance(error, ArtifactError):
+            raise
+        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
+        reason, remedy = (f"the disk is full ({error})", "make room") if full else (str(error), "fix that")
+        raise ArtifactError(
+            f"{path}: could not be written: {reason}. Finished artifacts are intact; "
+            f"{remedy} and start the campaign again"
+        ) from error
+    finally:
+        if temporary.exists():  # on a read-only disk, unlink fails even if there is no file
+            temporary.unlink()
 
 
 def _write_dataset(file: h5py.File, name: str, dataset: Dataset) -> None:
@@ -275,14 +272,13 @@ def _write_dataset(file: h5py.File, name: str, dataset: Dataset) -> None:
     if data.ndim != len(dataset.axes):
         raise ValueError(f"dataset {name!r}: {data.ndim} dimensions, but axes {dataset.axes}")
     if data.ndim and data.size:
-        # One sample (or row) a chunk; checksums so that a flipped byte is an error, never a number.
+        # With checksums, a flipped byte is an error, never a number.
         options.update(chunks=_chunk_shape(data), fletcher32=True)
         if data.dtype.kind == "S" or (data.ndim >= 2 and data.dtype == np.float32):
             options.update(shuffle=data.dtype.kind == "f", compression="gzip", compression_opts=1)
     node = file.create_dataset(name, data=data, **options)
-    _set_attributes(
-        node, {"unit": dataset.unit, "axes": _fixed_length(dataset.axes), "description": dataset.description}
-    )
+    axes = _fixed_length(dataset.axes)
+    _set_attributes(node, {"unit": dataset.unit, "axes": axes, "description": dataset.description})
 
 
 def _set_attributes(node: h5py.HLObject, values: Mapping[str, Any]) -> None:
@@ -291,22 +287,22 @@ def _set_attributes(node: h5py.HLObject, values: Mapping[str, Any]) -> None:
 
 
 def _fixed_length(texts: Sequence[str]) -> npt.NDArray[np.bytes_]:
-    """Strings in UTF-8, padded to the longest."""
+    """Encode strings in UTF-8, padded to the longest."""
     if any("\0" in text for text in texts):
-        raise ValueError("text with a zero byte, which HDF5 takes for its end")
+        raise ValueError("text with a zero byte, which ends text in HDF5")
     encoded = [text.encode() for text in texts]
     return np.array(encoded, dtype=h5py.string_dtype("utf-8", max([1, *map(len, encoded)])))
 
 
 def _chunk_shape(data: npt.NDArray[Any]) -> tuple[int, ...]:
-    """Whole rows along the first axis, about a MiB each."""
+    """Chunks of whole rows along the first axis, about 1 MiB each."""
     row_bytes = max(1, data[:1].nbytes)
     rows = int(np.clip(2**20 // row_bytes, 1, data.shape[0]))
     return (rows, *data.shape[1:])
 
 
 def content_digest(file: h5py.File, metadata: Mapping[str, Any]) -> str:
-    """SHA-256 over metadata and the names, shapes, dtypes and bytes of all datasets."""
+    """Return the SHA-256 of the metadata and of the names, shapes, dtypes and bytes of all datasets."""
     sha = hashlib.sha256(canonical_json(metadata).encode())
     for name in dataset_names(file, Path(file.filename).stat().st_size):
         node = file[name]
@@ -317,7 +313,7 @@ def content_digest(file: h5py.File, metadata: Mapping[str, Any]) -> str:
 
 @contextlib.contextmanager
 def open_artifact(path: Path, *stages: str) -> Iterator[Artifact]:
-    """Open an artifact for reading, after checking that it is complete and of one of the stages, if given."""
+    """Open an artifact for reading, after checking that it is complete and of one of the `stages`, if given."""
     if not path.exists():
         raise ArtifactError(f"{path}: no such artifact; run the campaign, which makes what is missing")
     if not path.is_file():
@@ -336,44 +332,53 @@ def open_artifact(path: Path, *stages: str) -> Iterator[Artifact]:
 
 
 def _checked(path: Path, file: h5py.File) -> Artifact:
-    """Check the header and what the file consists of."""
+    """Read the header, and check what the file consists of."""
     if "complete" not in file.attrs or number_attribute(file, "complete") != 1:
         raise ArtifactError(f"{path}: incomplete or not a warmlens artifact; {_REMEDY}")
     version = number_attribute(file, "schema_version")
     if version != SCHEMA_VERSION:
         raise ArtifactError(f"{path}: schema version {version:g}, this program reads {SCHEMA_VERSION}; {_REMEDY}")
-    for name in _DESCRIPTIVE:
-        text_attribute(file, name)
-    names = dataset_names(file, path.stat().st_size)
+    text_attribute(file, "settings_sha256")  # `Header` computes its own; no artifact lacks it
     artifact = Artifact(
         path=path,
-        file=file,
-        names=names,
         stage=text_attribute(file, "stage"),
+        schema=text_attribute(file, "schema"),
+        schema_version=SCHEMA_VERSION,
         digest=text_attribute(file, "digest"),
-        metadata=json_attribute(file, "metadata", lambda content: _Recorded(path, content)),
         settings=json_attribute(file, "settings"),
         inputs=inputs_attribute(file, "inputs"),
+        seed_key=text_attribute(file, "seed_key"),
         span=span_attribute(file, "span"),
-        wall_seconds=number_attribute(file, "wall_seconds"),
+        package_version=text_attribute(file, "package_version"),
+        git_commit=text_attribute(file, "git_commit"),
         git_dirty=bool(number_attribute(file, "git_dirty")),
+        created_utc=text_attribute(file, "created_utc"),
+        wall_seconds=number_attribute(file, "wall_seconds"),
+        file=file,
+        names=dataset_names(file, path.stat().st_size),
+        metadata=json_attribute(file, "metadata", lambda content: _Recorded(path, content)),
     )
-    check_seal(file, names)
+    check_seal(file, artifact.names)
     check_name(path.stem, artifact.span)
     return artifact
 
 
+def read_header(path: Path, *stages: str) -> Header:
+    """Open an artifact with all checks of `open_artifact`, and return its header."""
+    with open_artifact(path, *stages) as artifact:
+        return artifact.header
+
+
 def input_digest(path: Path) -> str:
-    """Digest of an input: of the content of an artifact, of the bytes of any other file."""
+    """Return the digest of an input: of the content of an artifact, of the bytes of any other file."""
     if path.suffix == ".h5":
-        with open_artifact(path) as artifact:
-            return artifact.digest
+        return read_header(path).digest
     if not path.is_file():
         raise ArtifactError(f"{path}: not a file")
     return file_digest(path)
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of the bytes of a file."""
+    """Return the SHA-256 of the bytes of a file."""
     with path.open("rb") as handle:
         return hashlib.file_digest(handle, "sha256").hexdigest()

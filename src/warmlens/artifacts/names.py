@@ -9,13 +9,13 @@ from warmlens.stage_table import STAGES
 SINGLE = {name: stage.output for name, stage in STAGES.items() if not (stage.by_sample or stage.by_position)}
 CHUNKED = tuple(name for name, stage in STAGES.items() if stage.by_sample)
 NULL = tuple(name for name, stage in STAGES.items() if stage.of_null_test)
-FIGURE_GROUPS = {  # one job each: loading what draws takes longer than to draw
+FIGURE_GROUPS = {  # one job each: the imports take longer than drawing
     "lens": ("smooth_model", "psf", "scan_plane"),
     "samples": ("halo_maps", "deflection_maps", "mocks", "delta_r", "correlation"),
     "answer": ("posterior", "likelihood", "calibration", "convergence", "predictive", "information"),
 }
 FIGURES = tuple(name for names in FIGURE_GROUPS.values() for name in names)
-FIGURE_VERSION = 5  # raise it when a figure is drawn otherwise: finished campaigns then redraw theirs
+FIGURE_VERSION = 5  # raise it when a figure changes: finished campaigns then redraw theirs
 CONFIG = "config.json"
 SETTINGS = "settings/{stage}.json"  # what the jobs of a stage read
 TABLE = "abc.csv"
@@ -27,7 +27,7 @@ CRATE = "ro-crate-metadata.json"  # as RO-Crate wants it
 MANIFEST_VERSION = 1
 EXCLUSION_TABLE = "exclusion.csv"
 EXCLUSION_NUMBERS = "exclusion.json"
-ANSWER_FILES = {"abc": (TABLE, NUMBERS), "exclusion": (EXCLUSION_TABLE, EXCLUSION_NUMBERS)}  # beside the artifact
+ANSWER_FILES = {"abc": (TABLE, NUMBERS), "exclusion": (EXCLUSION_TABLE, EXCLUSION_NUMBERS)}  # next to the artifact
 
 
 def sample_page(sample: int) -> str:

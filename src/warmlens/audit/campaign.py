@@ -1,4 +1,4 @@
-"""Audit of a whole campaign: its artifacts, the files that were made of them, and what does not belong to it."""
+"""Audit of a campaign: its artifacts, the files that were made from them, and files that do not belong to it."""
 
 from __future__ import annotations
 
@@ -15,58 +15,31 @@ from warmlens.audit.manifest import ManifestFile, artifact_files, derived_files,
 from warmlens.config.model import Config
 from warmlens.stage_table import stage_digests, stage_settings
 
+ManifestState = Literal["present", "none", "damaged"]
+
 _NONE = "none"
-_SHOWN = 3  # settings that differ, by name
-
-
-@dataclass(frozen=True)
-class FileRecord:
-    """A file that is no artifact, whether there is a manifest to compare it with, and what is wrong with it."""
-
-    path: Path
-    kind: str
-    checked: bool
-    findings: tuple[Finding, ...] = ()
-
-    @property
-    def verdict(self) -> str:
-        """ "ok", "unchecked", or what is wrong."""
-        if self.findings:
-            return self.findings[0].kind
-        return "ok" if self.checked else "unchecked"
+_SHOWN = 3  # settings that differ, by name; the others are counted
 
 
 @dataclass(frozen=True)
 class CampaignAudit:
-    """What an audit found.
+    """Result of an audit: one record per artifact, and one per other file, with its kind in place of a stage.
 
-    Attributes
-    ----------
-    results
-        Results folder.
-    artifacts, files
-        One entry an artifact, and one a file that was made of them.
-    manifest
-        Whether there is one that can be read.
-    manifest_findings
-        What is wrong with the manifest as a whole.
-    notes
-        What is worth knowing and no error.
+    Other files are compared with the manifest, if it is present; `manifest_findings` are about it as a whole.
     """
 
     results: Path
     artifacts: tuple[Record, ...]
-    files: tuple[FileRecord, ...]
-    manifest: Literal["present", "none", "damaged"]
+    files: tuple[Record, ...]
+    manifest: ManifestState
     manifest_findings: tuple[Finding, ...]
     notes: tuple[str, ...]
 
     @property
     def findings(self) -> list[Finding]:
         """Everything that is wrong."""
-        of_artifacts = [finding for record in self.artifacts for finding in record.findings]
-        of_files = [finding for item in self.files for finding in item.findings]
-        return [*of_artifacts, *of_files, *self.manifest_findings]
+        of_files = [finding for record in (*self.artifacts, *self.files) for finding in record.findings]
+        return [*of_files, *self.manifest_findings]
 
     @property
     def sound(self) -> bool:
@@ -75,91 +48,82 @@ class CampaignAudit:
 
 
 def audit_campaign(config: Config, done: Callable[[Path], None] = lambda _: None) -> CampaignAudit:
-    """Re-hash all files of a campaign, follow the chain of its artifacts, and compare with its manifest.
+    """Re-hash all files in `config.results`, follow the chain of the artifacts, and compare with the manifest.
 
-    Parameters
-    ----------
-    config
-        Of the campaign; its files are looked for in `config.results`.
-    done
-        Told of every file, from several threads.
+    `done` is called with the path of every file, from several threads.
     """
     results = Path(config.results)
     expected, derived = artifact_files(config), derived_files(config)
-    records = [_explained(record, config) for record in examine(expected, stage_digests(config), done)]
-    notes = list(_strays(results, expected))
-    unchecked = tuple(FileRecord(path, kind, checked=False) for path, kind in derived.items() if path.exists())
+    records = [_name_settings(record, config) for record in examine(expected, stage_digests(config), done)]
+    files = [Record(path, kind) for path, kind in derived.items() if path.exists()]
+    notes = _strays(results, expected)
+    manifest = None
+    state: ManifestState = "none"
+    wrong: list[Finding] = []
     try:
         manifest = read_manifest(results)
     except ArtifactError as error:
-        wrong: tuple[Finding, ...] = (Finding(results / MANIFEST, f"damaged: {error}", "damaged"),)
-        return CampaignAudit(results, tuple(records), unchecked, "damaged", wrong, tuple(notes))
-    if manifest is None:
-        n_absent = sum(not path.exists() for path in (*expected, *derived))
+        state, wrong = "damaged", [Finding(results / MANIFEST, f"damaged: {error}", "damaged")]
+    if manifest is not None:
+        state = "present"
+        listed = {results / each.path: each for each in manifest.files}
+        records = [_compare_artifact(record, listed.get(record.path), results) for record in records]
+        files = [_compare_file(path, kind, listed.get(path), results, done) for path, kind in derived.items()]
+        problem = f"in {MANIFEST}, but no part of this campaign"
+        strangers = [path for path in listed if path not in expected and path not in derived]
+        wrong = [_manifest_finding(path, problem, results) for path in strangers]
+    elif state == "none" and (n_absent := sum(not path.exists() for path in (*expected, *derived))):
+        notes.append(f"{MANIFEST}: there is none, for the campaign is not finished ({n_absent} files to make)")
+    elif state == "none":
         remedy = f"missing; write it with: warmlens manifest {results}"
-        wrong = () if n_absent else (Finding(results / MANIFEST, remedy, "missing"),)
-        if n_absent:
-            notes.append(f"{MANIFEST}: there is none, for the campaign is not finished ({n_absent} files to make)")
-        return CampaignAudit(results, tuple(records), unchecked, "none", wrong, tuple(notes))
-    listed = {results / item.path: item for item in manifest.files}
-    wrong = tuple(
-        Finding(path, f"in {MANIFEST}, but no part of this campaign; {_remedy(results)}", "manifest")
-        for path in listed
-        if path not in expected and path not in derived
-    )
-    return CampaignAudit(
-        results,
-        tuple(_compared(record, listed.get(record.path), results) for record in records),
-        tuple(_check_file(path, kind, listed.get(path), results, done) for path, kind in derived.items()),
-        "present",
-        wrong,
-        tuple(notes),
-    )
+        wrong = [Finding(results / MANIFEST, remedy, "missing")]
+    return CampaignAudit(results, tuple(records), tuple(files), state, tuple(wrong), tuple(notes))
 
 
-def _remedy(results: Path) -> str:
-    return f"if the change was meant: warmlens manifest {results}"
+def _manifest_finding(path: Path, problem: str, results: Path) -> Finding:
+    return Finding(path, f"{problem}; if the change was meant: warmlens manifest {results}", "manifest")
 
 
-def _compared(record: Record, listed: ManifestFile | None, results: Path) -> Record:
-    """The record with what the manifest says against it."""
+def _compare_artifact(record: Record, listed: ManifestFile | None, results: Path) -> Record:
+    """Add to a record that the manifest has another artifact."""
     if record.header is None or (listed is not None and listed.digest == record.header.digest):
         return record
     problem = f"not in {MANIFEST}" if listed is None else f"not what {MANIFEST} lists"
-    finding = Finding(record.path, f"{problem}; {_remedy(results)}", "manifest")
+    finding = _manifest_finding(record.path, problem, results)
     return dataclasses.replace(record, findings=(*record.findings, finding))
 
 
-def _check_file(
+def _compare_file(
     path: Path, kind: str, listed: ManifestFile | None, results: Path, done: Callable[[Path], None]
-) -> FileRecord:
+) -> Record:
     if not path.is_file():
-        return FileRecord(path, kind, checked=True, findings=(Finding(path, "missing", "missing"),))
+        return Record(path, kind, findings=(Finding(path, "missing", "missing"),))
     problem = ""
     if listed is None:
         problem = f"not in {MANIFEST}"
     elif path.stat().st_size != listed.size or file_digest(path) != listed.sha256:
         problem = f"not what {MANIFEST} lists"
     done(path)
-    found = (Finding(path, f"{problem}; {_remedy(results)}", "manifest"),) if problem else ()
-    return FileRecord(path, kind, checked=True, findings=found)
+    return Record(path, kind, findings=(_manifest_finding(path, problem, results),) if problem else ())
 
 
-def _explained(record: Record, config: Config) -> Record:
-    """The record with the settings by name that are no longer those of the campaign."""
+def _name_settings(record: Record, config: Config) -> Record:
+    """Add to a record with other settings than the campaign which of them differ."""
     if record.header is None or not any(finding.kind == "settings" for finding in record.findings):
         return record
     current = stage_settings(config, record.header.stage).as_dict()
-    told = differences(record.header.settings, current)
+    changes = differences(record.header.settings, current)
     findings = tuple(
-        dataclasses.replace(item, problem=f"{item.problem}: {told}") if item.kind == "settings" else item
-        for item in record.findings
+        dataclasses.replace(finding, problem=f"{finding.problem}: {changes}")
+        if finding.kind == "settings"
+        else finding
+        for finding in record.findings
     )
     return dataclasses.replace(record, findings=findings)
 
 
 def differences(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> str:
-    """Which settings differ, in words: the version of the stage's code first, then keys with both values."""
+    """Return in words which settings differ: the version of the stage's code first, then keys with both values."""
     before, now = dict(_leaves(recorded)), dict(_leaves(current))
     keys = [key for key in {**before, **now} if before.get(key, _NONE) != now.get(key, _NONE)]
     keys.sort(key=lambda key: key != "stage_version")
@@ -182,11 +146,9 @@ def _leaves(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str
             yield f"{prefix}{key}", value
 
 
-def _strays(results: Path, expected: Mapping[Path, str]) -> Iterator[str]:
-    """HDF5 files where artifacts lie that the campaign does not have: other chunks, samples beyond its end."""
-    folders = dict.fromkeys([results, *(results / name for name in CHUNKED)])
-    folders |= dict.fromkeys((results / name).parent for name in SINGLE.values())
-    for folder in folders:
-        for path in sorted(folder.glob("*.h5")):
-            if path not in expected:
-                yield f"{path}: no part of this campaign"
+def _strays(results: Path, expected: Mapping[Path, str]) -> list[str]:
+    """Name the HDF5 files among the artifacts that the campaign does not have, as chunks of another size."""
+    folders = dict.fromkeys((results / name).parent for name in SINGLE.values())
+    folders |= dict.fromkeys(results / stage for stage in CHUNKED)
+    strays = [path for folder in folders for path in sorted(folder.glob("*.h5")) if path not in expected]
+    return [f"{path}: no part of this campaign" for path in strays]

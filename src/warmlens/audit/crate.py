@@ -1,8 +1,8 @@
 """`ro-crate-metadata.json`: a finished campaign as a Research Object Crate, for archives.
 
-The crate describes what one publishes: tables, figures, report, configuration, the single artifacts, and the
-chunks of each stage as a folder. The scan operator, most of the bytes, is working data that the workflow builds
-anew from the smooth model; the manifest lists it, the crate does not.
+The crate describes what is published: tables, figures, report, configuration, the single artifacts, and the
+chunks of each stage as a folder. The scan operator, most of the bytes, is only in the manifest: the workflow
+recomputes it from the smooth model.
 """
 
 from __future__ import annotations
@@ -10,19 +10,13 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Any
 
 from rocrate.model.contextentity import ContextEntity
 from rocrate.rocrate import ROCrate
 
-from warmlens.artifacts.chain import Header
-from warmlens.artifacts.file import atomic_path
-from warmlens.artifacts.names import (
-    CHUNKED,
-    CONFIG,
-    CRATE,
-    MANIFEST,
-)
+from warmlens.artifacts.chain import input_paths
+from warmlens.artifacts.file import Header, atomic_path
+from warmlens.artifacts.names import CHUNKED, CONFIG, CRATE, MANIFEST
 from warmlens.audit.manifest import Manifest, ManifestFile
 from warmlens.text import CITATION
 
@@ -45,31 +39,13 @@ _KINDS = {
 
 
 def write_crate(results: Path, manifest: Manifest, headers: Sequence[Header], license_url: str | None) -> None:
-    """Write the metadata of the crate whose folder is `results`.
+    """Write the metadata of the crate whose folder is `results`, where the manifest is already.
 
-    Parameters
-    ----------
-    results
-        Results folder; the manifest is in it already.
-    manifest, headers
-        Files of the campaign, and what the artifacts among them say of themselves.
-    license_url
-        Of the data; None leaves a note on how to name one.
+    `headers` are those of all artifacts. Without the URL of a license of the data, a note says how to name one.
     """
-    crate = describe(results.resolve().name, results, manifest, headers, license_url)
-    with atomic_path(results / CRATE) as temporary:
-        temporary.write_text(json.dumps(crate.metadata.generate(), indent=2) + "\n")
-
-
-def describe(
-    name: str, results: Path, manifest: Manifest, headers: Sequence[Header], license_url: str | None
-) -> ROCrate:
-    """The crate of a campaign called `name`."""
     crate = ROCrate(version=VERSION)
-    artifacts = manifest.files[: len(headers)]
-    software = _software(crate, manifest)
     root = crate.root_dataset
-    root["name"] = f"warmlens campaign {name}"
+    root["name"] = f"warmlens campaign {results.resolve().name}"
     root["description"] = (
         "From the image of a strong gravitational lens to a lower bound on the mass of warm dark matter: "
         f"{manifest.config['campaign']['n_samples']} samples, seed {manifest.seed}. Sizes and SHA-256 of all "
@@ -77,43 +53,41 @@ def describe(
     )
     root["datePublished"] = manifest.created_utc
     root["license"] = license_url or NO_LICENSE
-    root["citation"] = _paper(crate)
-    for item in manifest.files:
-        if item.stage not in (*_WORKING, *CHUNKED):
-            _add_file(crate, results, item)
-    crate.add_file(
-        results / MANIFEST,
-        MANIFEST,
-        properties={"name": "Sizes and digests of all files", "encodingFormat": _FORMATS[".json"]},
-    )
+    software = _add_software(crate, manifest)
+    root["citation"] = _add_paper(crate)
+    for listed in manifest.files:
+        if listed.stage not in (*_WORKING, *CHUNKED):
+            _add_file(crate, results, listed)
+    about = {"name": "Sizes and digests of all files", "encodingFormat": _FORMATS[".json"]}
+    crate.add_file(results / MANIFEST, MANIFEST, properties=about)
     for stage in CHUNKED:
-        _add_folder(crate, results, stage, [item for item in artifacts if item.stage == stage])
-    by_path = {results / item.path: item for item in artifacts}
+        _add_folder(crate, results, stage, [listed.size for listed in manifest.files if listed.stage == stage])
+    entities = {
+        header.path: f"{header.stage}/" if header.stage in CHUNKED else header.path.relative_to(results).as_posix()
+        for header in headers
+    }
     for stage in dict.fromkeys(header.stage for header in headers):
         if stage not in _WORKING:
-            made = [(item, head) for item, head in zip(artifacts, headers, strict=True) if head.stage == stage]
-            _add_action(crate, stage, made, software, by_path)
-    return crate
+            _add_action(crate, [header for header in headers if header.stage == stage], software, entities)
+    with atomic_path(results / CRATE) as temporary:
+        temporary.write_text(json.dumps(crate.metadata.generate(), indent=2) + "\n")
 
 
-def _software(crate: ROCrate, manifest: Manifest) -> ContextEntity:
+def _add_software(crate: ROCrate, manifest: Manifest) -> ContextEntity:
+    libraries = [f"{name} {version}" for name, version in manifest.libraries.items()]
+    changed = ", changed since" if manifest.git_dirty else ""
     properties = {
         "@type": "SoftwareApplication",
         "name": "warmlens",
         "version": manifest.package_version,
-        "softwareVersion": f"{manifest.package_version} (git commit {manifest.git_commit}"
-        + (", changed since)" if manifest.git_dirty else ")"),
-        "softwareRequirements": [f"Python {manifest.python}", *_pins(manifest.libraries)],
+        "softwareVersion": f"{manifest.package_version} (git commit {manifest.git_commit}{changed})",
+        "softwareRequirements": [f"Python {manifest.python}", *libraries],
         "license": "https://spdx.org/licenses/BSD-3-Clause",
     }
     return crate.add(ContextEntity(crate, "#warmlens", properties=properties))
 
 
-def _pins(libraries: Mapping[str, str]) -> list[str]:
-    return [f"{name} {version}" for name, version in libraries.items()]
-
-
-def _paper(crate: ROCrate) -> ContextEntity:
+def _add_paper(crate: ROCrate) -> ContextEntity:
     properties = {
         "@type": "ScholarlyArticle",
         "name": CITATION["title"],
@@ -125,54 +99,46 @@ def _paper(crate: ROCrate) -> ContextEntity:
     return crate.add(ContextEntity(crate, f"https://doi.org/{CITATION['doi']}", properties=properties))
 
 
-def _add_file(crate: ROCrate, results: Path, item: ManifestFile) -> None:
-    path = PurePosixPath(item.path)
-    what = f"Artifact of the stage {item.stage}" if item.stage else f"{_KINDS[item.kind]}"
-    properties: dict[str, Any] = {
-        "name": what if item.path == CONFIG or item.kind == "report" else f"{what}: {path.stem}",
-        "contentSize": str(item.size),
-        "encodingFormat": _FORMATS[path.suffix],
-        "sha256": item.sha256,
-    }
-    if item.created_utc:
-        properties["dateCreated"] = item.created_utc
-    crate.add_file(results / path, item.path, properties=properties)
-
-
-def _add_folder(crate: ROCrate, results: Path, stage: str, files: Sequence[ManifestFile]) -> None:
-    size = sum(item.size for item in files)
+def _add_file(crate: ROCrate, results: Path, listed: ManifestFile) -> None:
+    path = PurePosixPath(listed.path)
+    kind = f"Artifact of the stage {listed.stage}" if listed.stage else _KINDS[listed.kind]
     properties = {
-        "name": f"Artifacts of the stage {stage}",
-        "description": f"{len(files)} HDF5 files, {size} bytes, each a chunk of samples; digests in {MANIFEST}",
+        "name": kind if listed.path == CONFIG or listed.kind == "report" else f"{kind}: {path.stem}",
+        "contentSize": str(listed.size),
+        "encodingFormat": _FORMATS[path.suffix],
+        "sha256": listed.sha256,
     }
+    if listed.created_utc:
+        properties["dateCreated"] = listed.created_utc
+    crate.add_file(results / path, listed.path, properties=properties)
+
+
+def _add_folder(crate: ROCrate, results: Path, stage: str, sizes: Sequence[int]) -> None:
+    files = f"{len(sizes)} HDF5 files, {sum(sizes)} bytes, each a chunk of samples; digests in {MANIFEST}"
+    properties = {"name": f"Artifacts of the stage {stage}", "description": files}
     crate.add_dataset(results / stage, f"{stage}/", properties=properties)
 
 
 def _add_action(
-    crate: ROCrate,
-    stage: str,
-    made: Sequence[tuple[ManifestFile, Header]],
-    software: ContextEntity,
-    artifacts: Mapping[Path, ManifestFile],
+    crate: ROCrate, headers: Sequence[Header], software: ContextEntity, entities: Mapping[Path, str]
 ) -> None:
-    """What a stage made of what; an input outside of the campaign, the image of the user, is not named."""
-    sources = {source for _, header in made for _, source, _ in header.inputs.values()}
-    used = sorted({_identifier(artifacts[path]) for path in sources if path in artifacts})
-    commits = sorted({header.git_commit for _, header in made})
+    """Add what a stage made from which inputs; those outside of the campaign, images of the user, are left out.
+
+    `entities` has the identifier of what describes an artifact in the crate, its own or that of its folder.
+    """
+    stage = headers[0].stage
+    used = {entities.get(source, "") for header in headers for source in input_paths(header).values()}
+    commits = sorted({header.git_commit for header in headers})
+    seconds = sum(header.wall_seconds for header in headers)
     action = crate.add_action(
         software,
         identifier=f"#{stage}",
-        object=[crate.dereference(name) for name in used if crate.dereference(name) is not None],
-        result=[crate.dereference(_identifier(made[0][0]))],
+        object=[entity for name in sorted(used - {""}) if (entity := crate.dereference(name)) is not None],
+        result=[crate.dereference(entities[headers[0].path])],
         properties={
             "name": f"Stage {stage}",
-            "description": f"git commit {', '.join(commits)}; {sum(head.wall_seconds for _, head in made):.0f} s",
-            "endTime": max(header.created_utc for _, header in made),
+            "description": f"git commit {', '.join(commits)}; {seconds:.0f} s",
+            "endTime": max(header.created_utc for header in headers),
         },
     )
     crate.root_dataset.append_to("mentions", action)
-
-
-def _identifier(item: ManifestFile) -> str:
-    """Of the entity that describes a file: its own, or the folder of its stage."""
-    return f"{item.stage}/" if item.stage in CHUNKED else item.path

@@ -13,16 +13,10 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from warmlens import __version__
-from warmlens.artifacts.chain import Header, check_chain, read_header
+from warmlens.artifacts.chain import walk
 from warmlens.artifacts.code_version import code_commit
-from warmlens.artifacts.file import ArtifactError, atomic_path, file_digest, open_artifact
-from warmlens.artifacts.names import (
-    ANSWER_FILES,
-    CONFIG,
-    MANIFEST,
-    REPORT,
-    SINGLE,
-)
+from warmlens.artifacts.file import ArtifactError, Header, atomic_path, file_digest
+from warmlens.artifacts.names import ANSWER_FILES, CONFIG, MANIFEST, REPORT, SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.model import Config
@@ -31,6 +25,7 @@ from warmlens.stage_table import campaign_stages, stage_digests
 
 LIBRARIES = ("astropy", "colossus", "h5py", "lenstronomy", "numba", "numpy", "pandas", "scipy", "snakemake")
 _MAX_BYTES = 2**26
+_OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc")  # of its header
 
 Kind = Literal["artifact", "configuration", "table", "figure", "report"]
 
@@ -47,7 +42,7 @@ class _Plain(BaseModel):
 
 
 class ManifestFile(_Plain):
-    """One file: its path under the results folder; an artifact also with its stage, digests and commit."""
+    """One file: its path under the results folder; of an artifact also what its header states."""
 
     path: Annotated[str, AfterValidator(_relative)]
     kind: Kind
@@ -61,7 +56,7 @@ class ManifestFile(_Plain):
 
 
 class Manifest(_Plain):
-    """All files of a campaign, and the program that wrote the list."""
+    """All files of a campaign, and the versions of the program that wrote the list."""
 
     format: Literal["warmlens/manifest"] = "warmlens/manifest"
     format_version: Literal[1] = 1
@@ -77,7 +72,7 @@ class Manifest(_Plain):
 
 
 def derived_files(config: Config) -> dict[Path, Kind]:
-    """Files of a finished campaign that are no artifacts, and what they are."""
+    """Return the files of a finished campaign that are no artifacts, with their kinds."""
     root = Path(config.results)
     answer = campaign_stages(config)[-1]
     files: dict[Path, Kind] = {root / CONFIG: "configuration"}
@@ -90,31 +85,22 @@ def derived_files(config: Config) -> dict[Path, Kind]:
 
 
 def artifact_files(config: Config) -> dict[Path, str]:
-    """Every artifact of a campaign and its stage."""
+    """Return every artifact of a campaign with its stage."""
     return {path: stage for stage in campaign_stages(config) for path in stage_files(config, stage)}
 
 
 def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None) -> tuple[Manifest, list[Header]]:
-    """Hash every file of a finished campaign.
-
-    Parameters
-    ----------
-    config
-        Of the campaign; its files are looked for in `config.results`.
-    done
-        Told of every file.
+    """Hash every file of a finished campaign in `config.results`; `done` is called with the path of each.
 
     Returns
     -------
-    manifest
-        The files, artifacts first.
-    headers
-        Of the artifacts, in the same order.
+    manifest, headers
+        All files, artifacts first, and the headers of the artifacts in the same order.
 
     Raises
     ------
     ArtifactError
-        If a file is missing, or the chain of artifacts is not whole: nothing to be published.
+        If a file is missing, or the chain of artifacts is broken.
     """
     root = Path(config.results)
     artifacts, derived = artifact_files(config), derived_files(config)
@@ -124,24 +110,14 @@ def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None)
             f"{missing[0]}: no such file ({len(missing)} of the campaign missing); a manifest needs a finished "
             f"campaign, run it first: {remaking_command(root)}"
         )
-    check_chain(root / SINGLE[campaign_stages(config)[-1]], stage_digests(config))
-    files, headers = [], []
-    for path, stage in artifacts.items():
-        with open_artifact(path, stage) as artifact:
-            header = read_header(artifact, path)
-        headers.append(header)
-        files.append(
-            ManifestFile(
-                **_bytes(path, root),
-                kind="artifact",
-                stage=stage,
-                digest=header.digest,
-                settings_sha256=header.settings_sha256,
-                git_commit=header.git_commit,
-                created_utc=header.created_utc,
-            )
-        )
-        done(path)
+    answer = root / SINGLE[campaign_stages(config)[-1]]
+    records = walk(artifacts, stage_digests(config), hashed=[answer])
+    headers = [record.sound_header() for record in records][: len(artifacts)]
+    files = []
+    for header in headers:
+        stated = {name: getattr(header, name) for name in _OF_ARTIFACT}
+        files.append(ManifestFile(**_bytes(header.path, root), kind="artifact", **stated))
+        done(header.path)
     for path, kind in derived.items():
         files.append(ManifestFile(**_bytes(path, root), kind=kind))
         done(path)
@@ -161,27 +137,17 @@ def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None)
 
 
 def _bytes(path: Path, root: Path) -> dict[str, Any]:
-    return {
-        "path": path.relative_to(root).as_posix(),
-        "size": path.stat().st_size,
-        "sha256": file_digest(path),
-    }
+    return {"path": path.relative_to(root).as_posix(), "size": path.stat().st_size, "sha256": file_digest(path)}
 
 
 def write_manifest(manifest: Manifest, path: Path) -> None:
-    """Write a manifest as JSON."""
+    """Write a manifest as JSON, without what is None."""
     with atomic_path(path) as temporary:
         temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n")
 
 
 def read_manifest(results: Path) -> Manifest | None:
-    """Manifest of a results folder; None if there is none.
-
-    Raises
-    ------
-    ArtifactError
-        If the file is no manifest.
-    """
+    """Read the manifest of a results folder; None if there is none, `ArtifactError` if the file is damaged."""
     path = results / MANIFEST
     if not path.is_file():
         return None

@@ -1,9 +1,8 @@
-"""An audit as a table to read, and as JSON for scripts."""
+"""An audit as a table for people, and as JSON for scripts."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from warmlens.artifacts.chain import Finding, Record
+from warmlens.artifacts.chain import Record
 from warmlens.audit.campaign import CampaignAudit
 from warmlens.text import duration
 
@@ -19,77 +18,70 @@ _DAY = 86400.0
 _WIDEST = 400
 _CHAIN = ("settings", "inputs")
 _ATTRIBUTES = (
-    "schema",
-    "schema_version",
-    "digest",
-    "settings_sha256",
-    "created_utc",
-    "wall_seconds",
-    "package_version",
-    "git_commit",
-    "git_dirty",
+    *("schema", "schema_version", "digest", "settings_sha256", "created_utc", "wall_seconds"),
+    *("package_version", "git_commit", "git_dirty"),
 )
 
 
-def print_audit(found: CampaignAudit) -> None:
-    """Print a row an artifact, and all problems and notes in full below."""
+def print_audit(audit: CampaignAudit) -> None:
+    """Print one row per artifact and per file with a problem, and all problems and notes in full below."""
     now = datetime.now(UTC)
     table = Table(box=None)
     for title in ("artifact", "schema", "digest", "chain", "age", "made by", "verdict"):
         table.add_column(title, no_wrap=True)
-    for record in found.artifacts:
-        table.add_row(*_row(record, found.results, now))
-    for item in found.files:
-        if item.findings:
-            name = item.path.relative_to(found.results).as_posix()
-            table.add_row(name, item.kind, "", "", "", "", item.verdict)
+    for record in audit.artifacts:
+        table.add_row(*_row(record, audit.results, now))
+    for record in audit.files:
+        if record.findings:
+            table.add_row(_name(record, audit.results), record.stage, "", "", "", "", record.verdict)
     console = Console(highlight=False, markup=False, soft_wrap=True)
     whole = console.measure(table, options=console.options.update(max_width=_WIDEST)).maximum
-    console.width = max(console.width, whole)  # digests are to be searched for, so nothing is cut
+    console.width = max(console.width, whole)  # digests are searched for, so nothing is cut
     console.print(table)
-    for finding in found.findings:
+    for finding in audit.findings:
         console.print(f"{finding.path}: {finding.problem}")
-    for note in found.notes:
+    for note in audit.notes:
         console.print(f"note: {note}")
-    console.print(summary(found))
+    console.print(_summary(audit))
 
 
-def summary(found: CampaignAudit) -> str:
-    """One line."""
-    n = len(found.artifacts)
-    if not found.sound:
-        return f"{len(found.findings)} problems in {n} artifacts; run the campaign again to mend them"
+def _summary(audit: CampaignAudit) -> str:
+    n = len(audit.artifacts)
+    if not audit.sound:
+        return f"{len(audit.findings)} problems in {n} artifacts; run the campaign again to repair them"
     files = (
-        f"{len(found.files)} other files as in the manifest"
-        if found.manifest == "present"
+        f"{len(audit.files)} other files as in the manifest"
+        if audit.manifest == "present"
         else "other files not checked, for there is no manifest"
     )
     return f"{n} artifacts: complete, unaltered, and made from one another as recorded; {files}"
 
 
+def _name(record: Record, results: Path) -> str:
+    return record.path.relative_to(results).as_posix()
+
+
 def _row(record: Record, results: Path, now: datetime) -> tuple[str, ...]:
-    name = record.path.relative_to(results).as_posix()
-    head = record.header
-    if head is None:
-        return (name, "", "", "", "", "", record.verdict)
+    header = record.header
+    if header is None:
+        return (_name(record, results), "", "", "", "", "", record.verdict)
     return (
-        name,
-        f"{head.schema.removeprefix('warmlens/')} {head.schema_version}",
-        head.digest[:12],
-        ", ".join(_chain(record.findings)) or "ok",
-        age(head.created_utc, now),
-        f"{head.package_version} {head.git_commit[:10]}{' dirty' if head.git_dirty else ''}",
+        _name(record, results),
+        f"{header.schema.removeprefix('warmlens/')} {header.schema_version}",
+        header.digest[:12],
+        ", ".join(_broken_links(record)) or "ok",
+        age(header.created_utc, now),
+        f"{header.package_version} {header.git_commit[:10]}{' dirty' if header.git_dirty else ''}",
         record.verdict,
     )
 
 
-def _chain(findings: Sequence[Finding]) -> list[str]:
-    """What of the chain is broken."""
-    return list(dict.fromkeys(finding.kind for finding in findings if finding.kind in _CHAIN))
+def _broken_links(record: Record) -> list[str]:
+    return list(dict.fromkeys(finding.kind for finding in record.findings if finding.kind in _CHAIN))
 
 
 def age_seconds(created_utc: str, now: datetime) -> float | None:
-    """Seconds since a time in UTC, negative if a clock was set back; None if it is no time."""
+    """Seconds since a time in UTC, negative if a clock was set back; None if the text is no time."""
     try:
         created = datetime.fromisoformat(created_utc)
     except ValueError:
@@ -98,7 +90,7 @@ def age_seconds(created_utc: str, now: datetime) -> float | None:
 
 
 def age(created_utc: str, now: datetime) -> str:
-    """How old something is, in words."""
+    """Time since a time in UTC, in words."""
     seconds = age_seconds(created_utc, now)
     if seconds is None:
         return "unknown"
@@ -107,47 +99,48 @@ def age(created_utc: str, now: datetime) -> str:
     return f"{seconds / _DAY:.0f} d" if seconds > 2.0 * _DAY else duration(seconds)
 
 
-def as_json(found: CampaignAudit) -> str:
-    """The audit as JSON; docs/audit.md tells the keys."""
+def as_json(audit: CampaignAudit) -> str:
+    """Return the audit as JSON, with the keys of docs/audit.md."""
     now = datetime.now(UTC)
+    checked = audit.manifest == "present"
     content = {
         "format": "warmlens/audit",
         "format_version": 1,
-        "results": str(found.results),
-        "sound": found.sound,
-        "n_problems": len(found.findings),
-        "manifest": found.manifest,
-        "artifacts": [_artifact(record, found.results, now) for record in found.artifacts],
+        "results": str(audit.results),
+        "sound": audit.sound,
+        "n_problems": len(audit.findings),
+        "manifest": audit.manifest,
+        "artifacts": [_artifact(record, audit.results, now) for record in audit.artifacts],
         "files": [
             {
-                "path": item.path.relative_to(found.results).as_posix(),
-                "kind": item.kind,
-                "verdict": item.verdict,
-                "problems": [finding.problem for finding in item.findings],
+                "path": _name(record, audit.results),
+                "kind": record.stage,
+                "verdict": record.verdict if checked else "unchecked",
+                "problems": [finding.problem for finding in record.findings],
             }
-            for item in found.files
+            for record in audit.files
         ],
         "problems": [
             {"path": str(finding.path), "kind": finding.kind, "problem": finding.problem}
-            for finding in found.findings
+            for finding in audit.findings
         ],
-        "notes": list(found.notes),
+        "notes": list(audit.notes),
     }
     return json.dumps(content, indent=2)
 
 
 def _artifact(record: Record, results: Path, now: datetime) -> dict[str, Any]:
-    head = record.header
-    told: dict[str, Any] = dict.fromkeys((*_ATTRIBUTES, "stage_version", "chain", "age_seconds"))
-    if head is not None:
-        told |= {name: getattr(head, name) for name in _ATTRIBUTES}
-        told["stage_version"] = head.settings.get("stage_version")
-        told["chain"] = _chain(record.findings)
-        told["age_seconds"] = age_seconds(head.created_utc, now)
+    header = record.header
+    stated: dict[str, Any] = dict.fromkeys((*_ATTRIBUTES, "stage_version", "chain", "age_seconds"))
+    if header is not None:
+        stated |= {name: getattr(header, name) for name in _ATTRIBUTES}
+        stated["stage_version"] = header.settings.get("stage_version")
+        stated["chain"] = _broken_links(record)
+        stated["age_seconds"] = age_seconds(header.created_utc, now)
     return {
-        "path": record.path.relative_to(results).as_posix(),
+        "path": _name(record, results),
         "stage": record.stage,
-        **told,
+        **stated,
         "verdict": record.verdict,
         "problems": [finding.problem for finding in record.findings],
     }

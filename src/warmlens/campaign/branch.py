@@ -1,4 +1,4 @@
-"""Starting a campaign from another one: what the change leaves as it is gets linked, not made again."""
+"""Start a campaign from another one: artifacts that the change does not affect are hard-linked."""
 
 from __future__ import annotations
 
@@ -10,16 +10,10 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from warmlens.artifacts.chain import input_paths
-from warmlens.artifacts.file import (
-    ArtifactError,
-    atomic_path,
-    input_digest,
-    open_artifact,
-)
+from warmlens.artifacts.chain import Chain
+from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.files import stage_files
-from warmlens.config.digest import settings_digest
 from warmlens.config.model import Config
 from warmlens.stage_table import campaign_stages, stage_digests, stage_settings
 
@@ -31,20 +25,9 @@ _NO_LINK = (errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP)
 
 @dataclass(frozen=True)
 class StageBranch:
-    """What a branch holds of one stage, before it is run.
+    """Number of artifacts of one stage in a branch, before it is run.
 
-    Attributes
-    ----------
-    stage
-        Its name.
-    n_files
-        Artifacts that the stage has in this campaign.
-    n_linked
-        Of these, taken over from the base just now.
-    n_there
-        Of these, found in place: taken over or made earlier.
-    n_removed
-        Artifacts of other settings that were in place and are gone, for the workflow to make them anew.
+    Linked are those just taken from the base, there those found in place, removed those of other settings.
     """
 
     stage: str
@@ -55,28 +38,17 @@ class StageBranch:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing of the stage is left to be made."""
+        """Whether nothing of the stage is left to be computed."""
         return self.n_linked + self.n_there == self.n_files
 
 
 def branch(base: Path, config: Config) -> list[StageBranch]:
-    """Put all artifacts of `base` that are right for `config` into its results folder, as hard links.
+    """Hard-link all artifacts of the results folder `base` that are right for `config` into `config.results`.
 
     An artifact is right if it is complete, was made with exactly the settings that its stage has under `config`,
     and all its inputs in the new folder have the content that it was made from. Across file systems it is
     copied. Times are kept, so that Snakemake finds it up to date. The last stage is always left to the workflow.
-
-    Parameters
-    ----------
-    base
-        Results folder of the campaign to start from.
-    config
-        The new campaign; `config.results` is its folder, which may hold an earlier, also an interrupted, branch.
-
-    Returns
-    -------
-    list of StageBranch
-        One a stage, in the order in which they run.
+    The new folder may hold an earlier, also an interrupted, branch.
 
     Raises
     ------
@@ -88,25 +60,26 @@ def branch(base: Path, config: Config) -> list[StageBranch]:
     with atomic_path(target / MARK) as temporary:
         temporary.write_text(json.dumps({"base": os.path.relpath(base, target)}) + "\n")
     digests = stage_digests(config)
-    found = []
+    branches = []
     for stage in campaign_stages(config)[:-1]:
         linked, there, removed = 0, 0, 0
         files = stage_files(config, stage)
+        chain = Chain(digests)  # a new one per stage, for the files of the last one have changed
         for place in files:
             source = base / place.relative_to(target)
-            if _fits(place, place, stage, digests[stage]):
+            if _fits(chain, place, place, stage):
                 there += 1
-            elif _fits(source, place, stage, digests[stage]):
+            elif _fits(chain, source, place, stage):
                 _link(source, place)
                 linked += 1
             elif place.exists():
-                place.unlink()  # Snakemake keeps no record of what was linked, and would take it as it is
+                place.unlink()  # Snakemake keeps no record of a link, and would take it as it is
                 removed += 1
         if stage == "observation":
             there += _observe(config, base) if not linked + there else 0
             _date_like(base / SINGLE[stage], target / SINGLE[stage])
-        found.append(StageBranch(stage, len(files), linked, there, removed))
-    return found
+        branches.append(StageBranch(stage, len(files), linked, there, removed))
+    return branches
 
 
 def _check_folders(base: Path, target: Path, config: Config) -> None:
@@ -124,21 +97,15 @@ def _check_folders(base: Path, target: Path, config: Config) -> None:
         )
 
 
-def _fits(path: Path, place: Path, stage: str, digest: str) -> bool:
+def _fits(chain: Chain, path: Path, place: Path, stage: str) -> bool:
     """Whether the artifact `path` is what the campaign needs at `place`."""
     if not path.exists():
         return False
-    try:
-        with open_artifact(path, stage) as artifact:
-            if settings_digest(artifact.settings) != digest:
-                return False
-            inputs = {
-                source: artifact.inputs[name]["digest"] for name, source in input_paths(artifact, place).items()
-            }
-        return all(source.exists() and input_digest(source) == wanted for source, wanted in inputs.items())
-    except (ArtifactError, OSError) as error:
-        log.warning("not used, and made anew: %s", error)
-        return False
+    findings = chain.compare(path, stage, place=place).findings
+    for finding in findings:
+        if finding.cause:
+            log.warning("not used, and recomputed: %s", finding.cause)
+    return not findings
 
 
 def _link(source: Path, place: Path) -> None:
@@ -152,9 +119,9 @@ def _link(source: Path, place: Path) -> None:
 
 
 def _observe(config: Config, base: Path) -> int:
-    """Read an image of the user or of another campaign, for what was made from it to be recognised; 1 if so.
+    """Read an image of the user or of another campaign, so that artifacts made from it can be linked; 1 if so.
 
-    The path of its file is recorded relative to the artifact, so that this cannot just be linked.
+    The artifact records the path of its file relative to itself, so it cannot be linked.
     """
     from warmlens.stages.job import make_job, run_job  # what reads images takes a second to load
 
@@ -166,7 +133,7 @@ def _observe(config: Config, base: Path) -> int:
 
 
 def _date_like(original: Path, path: Path) -> None:
-    """Give `path` the time of `original` if both hold the same, so that what was made of either is up to date."""
+    """Give `path` the time of `original` if both hold the same: what was made from either is then up to date."""
     if not (original.exists() and path.exists()) or path.samefile(original):
         return
     try:

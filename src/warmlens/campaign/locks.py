@@ -1,7 +1,7 @@
-"""Who is at work in a folder: records of running Snakemakes, and whether their lock may be lifted.
+"""Who works in a folder: records of running Snakemakes, and whether their lock may be lifted.
 
-Snakemake locks its working folder with files that say nothing of their owner, and a killed one leaves them behind.
-Results that are reached from several working folders it does not lock at all; who works on them is recorded there.
+Snakemake locks its working folder with files that do not name their owner, and a killed one leaves them behind.
+It does not lock results that several working folders can reach; a record in the results says who works on them.
 """
 
 from __future__ import annotations
@@ -28,18 +28,10 @@ class LockedError(RuntimeError):
 
 @dataclass(frozen=True)
 class Run:
-    """A Snakemake that began in a folder.
+    """A Snakemake that began in the working folder `folder`.
 
-    Attributes
-    ----------
-    host, pid
-        Where it runs.
-    born
-        When its process began [s since the epoch]: a later process may have the same number.
-    started
-        The same in words, UTC.
-    folder
-        Its working folder.
+    `born` is when its process began [s since the epoch], for a later process may have the same number; `started`
+    is the same in words, UTC.
     """
 
     host: str
@@ -55,7 +47,7 @@ class Run:
             return False
         try:
             process = psutil.Process(self.pid)
-            ended = process.status() == psutil.STATUS_ZOMBIE  # not yet fetched by its parent
+            ended = process.status() == psutil.STATUS_ZOMBIE  # not yet waited for by its parent
             return ended or abs(process.create_time() - self.born) > 1.0
         except psutil.NoSuchProcess:
             return True
@@ -65,51 +57,50 @@ class Run:
 
 
 def begin(folder: Path, results: Path) -> None:
-    """Record that this process runs Snakemake in `folder` and makes `results`.
+    """Record that this process runs Snakemake in `folder` and computes `results`.
 
     Raises
     ------
     LockedError
-        If one of another working folder makes the same results, or may. Within a folder Snakemake sees to that.
+        If one of another working folder computes the same results, or may. Within a folder Snakemake sees to that.
     """
     now = datetime.now(UTC).isoformat(timespec="seconds")
     run = Run(socket.gethostname(), os.getpid(), psutil.Process().create_time(), now, str(folder.resolve()))
     for place in (folder / _RECORDS, results / _CLAIMS):
-        with atomic_path(_record(place, run)) as temporary:
+        with atomic_path(_file(place, run.host, run.pid)) as temporary:
             temporary.write_text(json.dumps(asdict(run)))
     # only now, so that of two that begin at once none overlooks the other
-    for other in _read(results / _CLAIMS):
+    for other in runs(results, _CLAIMS):
         if other.folder != run.folder and not other.gone:
             end(folder, results)
-            elsewhere = f"; if it is gone, delete {_record(results / _CLAIMS, other)}"
+            elsewhere = f"; if it is gone, delete {_file(results / _CLAIMS, other.host, other.pid)}"
             raise LockedError(
                 f"{results.resolve()}: {other}, works on these results from the folder {other.folder}; "
                 f"wait for it, or stop it{'' if other.host == run.host else elsewhere}"
             )
-    _forget_gone(results / _CLAIMS)
+    forget_gone(results, _CLAIMS)
 
 
 def end(folder: Path, results: Path) -> None:
     """Remove the records of this process."""
     for place in (folder / _RECORDS, results / _CLAIMS):
-        (place / _name(socket.gethostname(), os.getpid())).unlink(missing_ok=True)
+        _file(place, socket.gethostname(), os.getpid()).unlink(missing_ok=True)
 
 
-def _record(place: Path, run: Run) -> Path:
-    return place / _name(run.host, run.pid)
+def _file(place: Path, host: str, pid: int) -> Path:
+    return place / f"{host}-{pid}.json"
 
 
-def _name(host: str, pid: int) -> str:
-    return f"{host}-{pid}.json"
+def runs(folder: Path, place: Path = _RECORDS) -> list[Run]:
+    """Read all records of `folder`, also those of killed runs."""
+    return [Run(**json.loads(path.read_text())) for path in sorted((folder / place).glob("*.json"))]
 
 
-def _read(place: Path) -> list[Run]:
-    return [Run(**json.loads(path.read_text())) for path in sorted(place.glob("*.json"))]
-
-
-def runs(folder: Path) -> list[Run]:
-    """All records of `folder`, also of killed runs."""
-    return _read(folder / _RECORDS)
+def forget_gone(folder: Path, place: Path = _RECORDS) -> None:
+    """Remove the records of runs that are gone."""
+    for run in runs(folder, place):
+        if run.gone:
+            _file(folder / place, run.host, run.pid).unlink(missing_ok=True)
 
 
 def is_locked(folder: Path) -> bool:
@@ -125,27 +116,16 @@ def check_abandoned(folder: Path) -> None:
     LockedError
         If one runs, runs on another machine, or left no record.
     """
-    found = runs(folder)
-    alive = [run for run in found if not run.gone]
+    recorded = runs(folder)
+    alive = [run for run in recorded if not run.gone]
     if alive:
         here = alive[0].host == socket.gethostname()
         raise LockedError(
             f"{folder.resolve()} is locked by {alive[0]}"
             + ("; wait for it, or stop it" if here else "; if it is gone, `snakemake --unlock` lifts the lock")
         )
-    if not found:
+    if not recorded:
         raise LockedError(
             f"{folder.resolve()} is locked, and it is not recorded by whom; if no Snakemake works in it, here or "
             "on another machine, `snakemake --unlock` lifts the lock"
         )
-
-
-def forget_gone(folder: Path) -> None:
-    """Remove the records of runs that are gone."""
-    _forget_gone(folder / _RECORDS)
-
-
-def _forget_gone(place: Path) -> None:
-    for run in _read(place):
-        if run.gone:
-            _record(place, run).unlink(missing_ok=True)

@@ -7,10 +7,10 @@ import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from warmlens.artifacts.chain import Header, _check_settings, _header
-from warmlens.artifacts.file import (
-    ArtifactError,
-)
+from warmlens.artifacts.chain import Chain
+from warmlens.artifacts.file import ArtifactError
+
+_METADATA = Path(".snakemake/metadata")
 
 
 def check_unrecorded(
@@ -18,25 +18,27 @@ def check_unrecorded(
 ) -> None:
     """Check the settings of the artifacts that the Snakemake of a working folder has no record of.
 
-    Without its records, which are in `.snakemake`, it takes them for finished, whatever they were made with.
+    Without a record in `.snakemake`, Snakemake takes an artifact as finished, whatever its settings were.
 
     Raises
     ------
     ArtifactError
-        Naming those that the campaign would not make like that, and what to do.
+        Naming those with other settings than the campaign has, or that cannot be read, and what to do.
     """
-    unrecorded = [path for path in expected_files if path.exists() and not is_recorded(folder, path)]
-    headers: dict[Path, Header] = {}
-    stale = [path for path in unrecorded if _check_settings(path, _header(path, headers), expected_settings)]
+    chain, stale = Chain(expected_settings), []
+    for path in expected_files:
+        if path.exists() and not is_recorded(folder, path):
+            for finding in chain.compare(path).findings:
+                if finding.kind == "damaged":
+                    raise finding.to_error()
+                if finding.kind == "settings":
+                    stale.append(path)
     if stale:
         raise ArtifactError(
             f"{len(stale)} artifacts were made with other settings or an older version of their stage, and "
             f"Snakemake has no record of them in {(folder / '.snakemake').resolve()}: it would take them as they "
             f"are; delete them and run the campaign again: {' '.join(map(str, stale))}"
         )
-
-
-_METADATA = Path(".snakemake/metadata")
 
 
 def is_recorded(folder: Path, output: Path) -> bool:

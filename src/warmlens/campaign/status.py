@@ -1,4 +1,4 @@
-"""How far a campaign is."""
+"""How far a campaign is, and how much time is left."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from warmlens.stage_table import campaign_stages
 from warmlens.text import duration
 
 _SAMPLED = (*CHUNKED, *NULL)
-_MAX_NAMED = 3  # stages that a line of progress names
+_MAX_NAMED = 3  # stages in a line of progress; the others are counted
 
 
 @dataclass(frozen=True)
 class StageStatus:
-    """Progress of one stage: artifacts and samples done, failed samples, seconds an artifact took."""
+    """Progress of one stage: artifacts and good samples done, failed samples, mean seconds per artifact."""
 
     stage: str
     n_done: int
@@ -43,7 +43,7 @@ class StageStatus:
 
 
 def read_campaign(results: Path) -> Config:
-    """Configuration of the last run into a results folder, whose artifacts are looked for there."""
+    """Read the configuration of the last run into a results folder, with this folder as its `results`."""
     path = results / CONFIG
     if not path.is_file():
         raise ArtifactError(
@@ -53,35 +53,29 @@ def read_campaign(results: Path) -> Config:
 
 
 def campaign_status(config: Config) -> list[StageStatus]:
-    """Status of every stage, from the artifacts that are there."""
-    found = []
+    """Return the status of every stage, from the artifacts that are there."""
+    stages = []
     for stage in campaign_stages(config):
         files = stage_files(config, stage)
         if not files:  # a null test that is switched off
             continue
-        done = [_read(path, stage, written) for path in files if (written := _written(path)) is not None]
-        found.append(
+        done = [_read(path, stage, written) for path in files if (written := _written_ns(path)) is not None]
+        seconds, n_good, n_failed = np.array(done).reshape(-1, 3).T
+        stages.append(
             StageStatus(
                 stage,
                 len(done),
                 len(files),
-                sum(item.n_good for item in done) if stage in _SAMPLED else None,
-                sum(item.n_failed for item in done),
-                float(np.mean([item.seconds for item in done])) if done else None,
+                int(n_good.sum()) if stage in _SAMPLED else None,
+                int(n_failed.sum()),
+                float(np.mean(seconds)) if done else None,
             )
         )
-    return found
+    return stages
 
 
-@dataclass(frozen=True)
-class _Done:
-    seconds: float
-    n_good: int
-    n_failed: int
-
-
-def _written(path: Path) -> int | None:
-    """When a file was written [ns], None if it is not there: Snakemake removes what it is about to make anew."""
+def _written_ns(path: Path) -> int | None:
+    """When a file was written [ns], None if it is not there: Snakemake removes what it is about to recompute."""
     try:
         return path.stat().st_mtime_ns
     except FileNotFoundError:
@@ -89,17 +83,15 @@ def _written(path: Path) -> int | None:
 
 
 @functools.cache
-def _read(path: Path, stage: str, _written_ns: int) -> _Done:
-    """What is counted of an artifact, which is opened once: it is never changed, only replaced by a newer one."""
+def _read(path: Path, stage: str, _written: int) -> tuple[float, int, int]:
+    """Read seconds, good and failed samples of an artifact, once: it never changes, a newer one replaces it."""
     with open_artifact(path, stage) as artifact:
-        if stage not in _SAMPLED:
-            return _Done(artifact.wall_seconds, 0, 0)
-        failed = artifact.array("samples/status") != 0
-        return _Done(artifact.wall_seconds, int((~failed).sum()), int(failed.sum()))
+        failed = artifact.array("samples/status") != 0 if stage in _SAMPLED else np.empty(0, bool)
+        return artifact.wall_seconds, int((~failed).sum()), int(failed.sum())
 
 
 def progress_line(stages: list[StageStatus], cores: int) -> str:
-    """How far a campaign is, in one line: stages under way, and the time left on a number of cores."""
+    """Return in one line how far a campaign is: stages under way, and the time left on a number of cores."""
     begun = [row for row in stages if 0 < row.n_done < row.n_files]
     parts = [f"{row.stage} {row.n_done} of {row.n_files}" for row in begun]
     done, total = sum(row.n_done for row in stages), sum(row.n_files for row in stages)

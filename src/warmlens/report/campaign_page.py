@@ -14,7 +14,7 @@ from warmlens.artifacts.names import FIGURES, REPORT, SINGLE
 from warmlens.figures import CAPTIONS
 from warmlens.inference.calibration import MIN_ROWS
 from warmlens.report.collect import Campaign, FigureFile, read_report
-from warmlens.report.provenance import Provenance, read_provenance
+from warmlens.report.provenance import CampaignProvenance, read_provenance
 from warmlens.report.render import picture, render, write_page
 from warmlens.text import CITATION
 
@@ -74,7 +74,7 @@ def write_report(results: Path, output: Path | None = None) -> Path:
     return target
 
 
-def report_html(campaign: Campaign, provenance: Provenance) -> str:
+def report_html(campaign: Campaign, provenance: CampaignProvenance) -> str:
     """The page."""
     placed = [name for name in PLACED if name in FIGURES]
     gallery = [name for name in FIGURES if name not in PLACED]
@@ -101,7 +101,7 @@ def report_html(campaign: Campaign, provenance: Provenance) -> str:
     )
 
 
-def file_warnings(provenance: Provenance) -> list[str]:
+def file_warnings(provenance: CampaignProvenance) -> list[str]:
     """What is wrong with the artifacts, in words."""
     warnings = []
     if provenance.chain_problem:

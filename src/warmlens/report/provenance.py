@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from warmlens.artifacts.chain import check_chain
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.chain import walk
+from warmlens.artifacts.file import Header, read_header
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
@@ -17,135 +18,76 @@ from warmlens.stage_table import campaign_stages, stage_digests
 
 
 @dataclass(frozen=True)
-class ArtifactRow:
-    """One artifact of the campaign.
+class CampaignProvenance:
+    """All artifacts of a campaign by their path under the results folder: headers, or those that are missing.
 
-    Attributes
-    ----------
-    stage, name
-        Its stage, and its path under the results folder.
-    digest, settings_digest
-        SHA-256 of its content and of the settings that made it.
-    commit, dirty, package_version
-        The code that made it; whether that had changes that were not committed.
-    created
-        When it was written, UTC.
-    seconds
-        Wall time of making it.
+    `chain_problem` names the first that does not fit its inputs or the configuration, "" if all do; `costs` has
+    one row of `stage_costs` per stage.
     """
 
-    stage: str
-    name: str
-    digest: str
-    settings_digest: str
-    commit: str
-    dirty: bool
-    package_version: str
-    created: str
-    seconds: float
-
-
-@dataclass(frozen=True)
-class StageCost:
-    """What a stage cost: number of artifacts, their wall times together and in the median [s], peak memory [MiB].
-
-    The memory is None where Snakemake did not record it.
-    """
-
-    stage: str
-    n_artifacts: int
-    total_seconds: float
-    median_seconds: float
-    peak_mib: float | None
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """All artifacts of a campaign.
-
-    Attributes
-    ----------
-    artifacts
-        Those that are there, by stage.
-    missing
-        Paths under the results folder of those that are not.
-    chain_problem
-        The first artifact that does not fit the one it was made from, or the configuration; "" if all do.
-    costs
-        One entry a stage that has artifacts.
-    """
-
-    artifacts: tuple[ArtifactRow, ...]
+    artifacts: dict[str, Header]
     missing: tuple[str, ...]
     chain_problem: str
-    costs: tuple[StageCost, ...]
+    costs: list[dict[str, Any]]
 
     @property
     def commits(self) -> tuple[str, ...]:
         """Commits of the code that made the artifacts."""
-        return tuple(sorted({row.commit for row in self.artifacts}))
+        return tuple(sorted({header.git_commit for header in self.artifacts.values()}))
 
     @property
     def dirty(self) -> tuple[str, ...]:
         """Stages with artifacts of code that had changes that were not committed."""
-        return tuple(dict.fromkeys(row.stage for row in self.artifacts if row.dirty))
+        return tuple(dict.fromkeys(header.stage for header in self.artifacts.values() if header.git_dirty))
 
     @property
     def seconds(self) -> float:
         """Wall time of all artifacts together [s]."""
-        return sum(cost.total_seconds for cost in self.costs)
+        return sum(header.wall_seconds for header in self.artifacts.values())
 
 
-def read_provenance(results: Path, config: Config) -> Provenance:
-    """Read the attributes of every artifact of a campaign and follow the chain from the posterior.
+def read_provenance(results: Path, config: Config) -> CampaignProvenance:
+    """Read the header of every artifact of a campaign and follow the chain from the posterior.
 
-    Parameters
-    ----------
-    results
-        Results folder.
-    config
-        Configuration of the last run into it.
+    Raises
+    ------
+    ArtifactError
+        If an artifact cannot be read.
     """
-    rows: list[ArtifactRow] = []
+    files = {path: stage for stage in campaign_stages(config) for path in stage_files(config, stage)}
+    artifacts: dict[str, Header] = {}
     missing: list[str] = []
-    for stage in campaign_stages(config):
-        for path in stage_files(config, stage):
-            name = path.relative_to(results).as_posix()
-            if path.exists():
-                rows.append(_read_row(path, stage, name))
-            else:
-                missing.append(name)
-    try:
-        check_chain(results / SINGLE["abc"], stage_digests(config))
-        problem = ""
-    except ArtifactError as error:
-        problem = str(error).replace(f"{results.resolve()}/", "")
-    return Provenance(tuple(rows), tuple(missing), problem, _costs(rows, results))
+    problem = ""
+    for record in walk(files, stage_digests(config), hashed=[results / SINGLE["abc"]]):
+        name = record.path.relative_to(results).as_posix()
+        if record.verdict == "missing":
+            missing.append(name)
+            continue
+        if record.path in files:
+            artifacts[name] = record.header or read_header(record.path, record.stage)
+        if record.findings and not problem:
+            problem = str(record.findings[0].to_error()).replace(f"{results}/", "")
+    return CampaignProvenance(artifacts, tuple(missing), problem, stage_costs(artifacts, results / "benchmarks"))
 
 
-def _read_row(path: Path, stage: str, name: str) -> ArtifactRow:
-    with open_artifact(path, stage) as artifact:
-        return ArtifactRow(
-            stage,
-            name,
-            artifact.digest,
-            artifact.text("settings_sha256"),
-            artifact.text("git_commit"),
-            artifact.git_dirty,
-            artifact.text("package_version"),
-            artifact.text("created_utc"),
-            artifact.wall_seconds,
-        )
+def stage_costs(artifacts: Mapping[str, Header], benchmarks: Path) -> list[dict[str, Any]]:
+    """Return what each stage cost: number of artifacts, sum and median of their wall times [s], peak memory [MiB].
 
-
-def _costs(rows: Sequence[ArtifactRow], results: Path) -> tuple[StageCost, ...]:
+    The memory is None where Snakemake did not record it.
+    """
     seconds: dict[str, list[float]] = {}
-    for row in rows:
-        seconds.setdefault(row.stage, []).append(row.seconds)
-    return tuple(
-        StageCost(stage, len(each), sum(each), statistics.median(each), peak_memory(results / "benchmarks", stage))
+    for header in artifacts.values():
+        seconds.setdefault(header.stage, []).append(header.wall_seconds)
+    return [
+        {
+            "stage": stage,
+            "n_artifacts": len(each),
+            "total_seconds": sum(each),
+            "median_seconds": statistics.median(each),
+            "peak_mib": peak_memory(benchmarks, stage),
+        }
         for stage, each in seconds.items()
-    )
+    ]
 
 
 def peak_memory(benchmarks: Path, stage: str) -> float | None:
