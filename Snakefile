@@ -29,7 +29,7 @@ rule all:
     localrule: True
     input:
         # every stage's files, so that a deleted artifact is made again
-        [stage_files(CAMPAIGN, stage) for stage in CAMPAIGN_STAGES],
+        list(ARTIFACTS),
         [results(name) for name in ANSWER_FILES[ANSWER]],
         [pictures(names) for names in DRAWN.values()],
         [results(REPORT)] if ANSWER == "abc" else [],

@@ -34,7 +34,8 @@ from warmlens.artifacts.file import (
     write_artifact,
 )
 from warmlens.artifacts.names import CONFIG, CRATE, MANIFEST
-from warmlens.audit.manifest import artifact_files, derived_files
+from warmlens.audit.manifest import derived_files
+from warmlens.campaign.files import artifact_files
 from warmlens.campaign.snakemake import SNAKEMAKE, remaking_command
 from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config

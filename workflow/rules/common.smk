@@ -21,7 +21,7 @@ from warmlens.artifacts.names import (
 )
 from warmlens.audit.manifest import derived_files
 from warmlens.campaign import locks
-from warmlens.campaign.files import resolve_window, stage_files, stage_inputs
+from warmlens.campaign.files import artifact_files, resolve_window, stage_inputs
 from warmlens.campaign.records import check_unrecorded
 from warmlens.campaign.settings import write_settings
 from warmlens.config.digest import canonical_json, settings_digest
@@ -42,8 +42,8 @@ try:
 except ConfigError as error:
     raise WorkflowError(f"the configuration has {len(error.problems)} problem(s):\n{error}") from None
 
-CAMPAIGN_STAGES = campaign_stages(CAMPAIGN)
-ANSWER = CAMPAIGN_STAGES[-1]  # abc, or exclusion on a grid, which has no posterior to draw
+ARTIFACTS = artifact_files(CAMPAIGN)
+ANSWER = campaign_stages(CAMPAIGN)[-1]  # abc, or exclusion on a grid, which has no posterior to draw
 DRAWN = drawn_groups(CAMPAIGN)
 
 
@@ -111,11 +111,7 @@ def unique(paths):
 
 if workflow.is_main_process:
     try:
-        check_unrecorded(
-            {path: stage for stage in CAMPAIGN_STAGES for path in stage_files(CAMPAIGN, stage)},
-            stage_digests(CAMPAIGN),
-            Path(),
-        )
+        check_unrecorded(ARTIFACTS, stage_digests(CAMPAIGN), Path())
     except (ArtifactError, ConfigError) as error:
         raise WorkflowError(str(error)) from None
 

@@ -1,7 +1,7 @@
 # What a campaign consists of, for who publishes it: last of all, and anew when one of its files or the configuration is.
 rule manifest:
     input:
-        [stage_files(CAMPAIGN, stage) for stage in CAMPAIGN_STAGES],
+        list(ARTIFACTS),
         [path for path in derived_files(CAMPAIGN) if path.name != CONFIG],  # written anew at every start
     output:
         manifest=ensure(results(MANIFEST), non_empty=True),

@@ -1,7 +1,7 @@
 # The report takes a second, and is there whenever a campaign is finished.
 rule report:
     input:
-        [stage_files(CAMPAIGN, stage) for stage in CAMPAIGN_STAGES],
+        list(ARTIFACTS),
         [results(name) for name in ANSWER_FILES[ANSWER]],
         [pictures(names) for names in DRAWN.values()],
     output:

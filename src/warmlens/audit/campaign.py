@@ -11,7 +11,8 @@ from typing import Any, Literal
 from warmlens.artifacts.chain import Finding, Record, examine
 from warmlens.artifacts.file import ArtifactError, file_digest
 from warmlens.artifacts.names import CHUNKED, MANIFEST, SINGLE
-from warmlens.audit.manifest import ManifestFile, artifact_files, derived_files, read_manifest
+from warmlens.audit.manifest import ManifestFile, derived_files, read_manifest
+from warmlens.campaign.files import artifact_files
 from warmlens.config.model import Config
 from warmlens.stage_table import stage_digests, stage_settings
 

@@ -17,7 +17,7 @@ from warmlens.artifacts.chain import walk
 from warmlens.artifacts.code_version import code_commit
 from warmlens.artifacts.file import ArtifactError, Header, atomic_path, file_digest
 from warmlens.artifacts.names import ANSWER_FILES, CONFIG, MANIFEST, REPORT, SINGLE
-from warmlens.campaign.files import stage_files
+from warmlens.campaign.files import artifact_files
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.model import Config
 from warmlens.figures.inputs import drawn_figures
@@ -82,11 +82,6 @@ def derived_files(config: Config) -> dict[Path, Kind]:
     if answer == "abc":
         files[root / REPORT] = "report"
     return files
-
-
-def artifact_files(config: Config) -> dict[Path, str]:
-    """Return every artifact of a campaign with its stage."""
-    return {path: stage for stage in campaign_stages(config) for path in stage_files(config, stage)}
 
 
 def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None) -> tuple[Manifest, list[Header]]:

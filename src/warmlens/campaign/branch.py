@@ -13,7 +13,7 @@ from pathlib import Path
 from warmlens.artifacts.chain import Chain
 from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
 from warmlens.artifacts.names import CONFIG, SINGLE
-from warmlens.campaign.files import stage_files
+from warmlens.campaign.files import artifact_files, stage_files
 from warmlens.config.model import Config
 from warmlens.stage_table import campaign_stages, stage_digests, stage_settings
 
@@ -91,7 +91,7 @@ def _check_folders(base: Path, target: Path, config: Config) -> None:
         raise ArtifactError(f"{target}: a branch needs a folder of its own; give another `results` in the overlay")
     if (target / MARK).is_file():
         return
-    if any(path.exists() for stage in campaign_stages(config) for path in stage_files(config, stage)):
+    if any(path.exists() for path in artifact_files(config)):
         raise ArtifactError(
             f"{target}: holds a campaign that is no branch of another one; give another `results` in the overlay"
         )

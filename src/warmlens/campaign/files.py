@@ -10,7 +10,7 @@ from warmlens.config.model import MAX_IN_FILE_NAMES, MAX_PORTIONS, Config
 from warmlens.config.types import ConfigError
 from warmlens.sampling import Span, chunk_spans, shard_spans, span_name
 from warmlens.scan.raster import Raster
-from warmlens.stage_table import STAGES, stage_settings
+from warmlens.stage_table import STAGES, campaign_stages, stage_settings
 from warmlens.stages.job import Job, make_job
 
 
@@ -99,3 +99,8 @@ def campaign_job(config: Config, name: str, span: Span | None = None, output: Pa
     """Return the run of a stage on the artifacts of a campaign; `output` is another place to write to."""
     place = stage_file(config, name, span) if output is None else output
     return make_job(name, stage_settings(config, name), place, stage_inputs(config, name, span), span)
+
+
+def artifact_files(config: Config) -> dict[Path, str]:
+    """Return every artifact of a campaign with its stage."""
+    return {path: stage for stage in campaign_stages(config) for path in stage_files(config, stage)}

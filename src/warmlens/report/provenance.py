@@ -12,9 +12,9 @@ from typing import Any
 from warmlens.artifacts.chain import walk
 from warmlens.artifacts.file import Header, read_header
 from warmlens.artifacts.names import SINGLE
-from warmlens.campaign.files import stage_files
+from warmlens.campaign.files import artifact_files
 from warmlens.config.model import Config
-from warmlens.stage_table import campaign_stages, stage_digests
+from warmlens.stage_table import stage_digests
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def read_provenance(results: Path, config: Config) -> CampaignProvenance:
     ArtifactError
         If an artifact cannot be read.
     """
-    files = {path: stage for stage in campaign_stages(config) for path in stage_files(config, stage)}
+    files = artifact_files(config)
     artifacts: dict[str, Header] = {}
     missing: list[str] = []
     problem = ""
