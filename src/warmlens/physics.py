@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from warmlens.config.model import CosmologyBlock, HalosBlock, RedshiftBlock, ScanBlock
+from warmlens.config.model import CosmologyBlock, HalosBlock, RedshiftBlock
+from warmlens.config.scan import ScanBlock
 from warmlens.cosmology import Cosmology, LensGeometry
 from warmlens.halos.lens_halo import HaloGenerator, HaloModel
 from warmlens.halos.merger_tree import BRANCHING

@@ -22,10 +22,9 @@ from warmlens.config.model import (
     MocksBlock,
     NullTestBlock,
     RedshiftBlock,
-    ScanBlock,
-    SummariesBlock,
 )
 from warmlens.config.observation import ObservationBlock
+from warmlens.config.scan import ScanBlock, SummariesBlock
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.config.types import Block
 

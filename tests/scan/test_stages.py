@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
-from warmlens.config.model import CosmologyBlock, RedshiftBlock, ScanBlock
+from warmlens.config.model import CosmologyBlock, RedshiftBlock
+from warmlens.config.scan import ScanBlock
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Band, Observation

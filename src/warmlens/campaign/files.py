@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from warmlens.config.model import MAX_IN_FILE_NAMES, MAX_PORTIONS, Config
-from warmlens.config.types import ConfigError
+from warmlens.config.model import Config
+from warmlens.config.types import MAX_IN_FILE_NAMES, MAX_PORTIONS, ConfigError
 from warmlens.sampling import Span, chunk_spans, shard_spans, span_name
 from warmlens.scan.raster import Raster
 from warmlens.stage_table import STAGES, campaign_stages, stage_settings

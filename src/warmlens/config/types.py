@@ -8,8 +8,18 @@ from itertools import pairwise
 from pathlib import PurePath
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    ValidationInfo,
+    field_validator,
+)
 
+MAX_IN_FILE_NAMES = 9_999_999  # samples and positions: names of chunks and shards have seven digits
+MAX_PORTIONS = 10_000  # chunks or shards: Snakemake needs hours for more
+FileNumber = Annotated[int, Field(ge=1, le=MAX_IN_FILE_NAMES)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Negative = Annotated[float, Field(lt=0, allow_inf_nan=False)]

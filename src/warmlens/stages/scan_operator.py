@@ -7,7 +7,7 @@ import logging
 import numpy as np
 
 from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, input_digest
-from warmlens.config.model import ScanBlock
+from warmlens.config.scan import ScanBlock
 from warmlens.fitting.linear import LinearModel, build_linear_model
 from warmlens.imaging.observation import Observation
 from warmlens.imaging.shapelets import pixel_basis
