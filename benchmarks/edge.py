@@ -27,8 +27,9 @@ from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.settings import stage_settings
 from warmlens.campaign.status import read_campaign
+from warmlens.fitting.smooth_model import scan_band
 from warmlens.products.observation import read_observation
-from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stages.mocks import noise_free_image
 from warmlens.stages.observation import true_image

@@ -39,13 +39,14 @@ from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.status import read_campaign
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.mock import lensed_image
 from warmlens.imaging.observation import Band, Observation
 from warmlens.imaging.psf import Convolution, fwhm
 from warmlens.imaging.shapelets import surface_brightness
 from warmlens.products.observation import read_observation
 from warmlens.products.scan_operator import read_linear_model
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stages.mocks import noise_free_image
 from warmlens.types import FloatArray

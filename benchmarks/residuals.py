@@ -33,11 +33,12 @@ from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.status import read_campaign
 from warmlens.fitting.linear import LinearModel, solve
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.observation import Band, Observation
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import SampleTable
 from warmlens.products.scan_operator import read_linear_model
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.types import BoolArray, FloatArray
 
 QUASAR_CORE, QUASAR_HALO, LENS_CORE = 0.25, 0.8, 0.3  # arcsec

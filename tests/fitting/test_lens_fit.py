@@ -18,7 +18,7 @@ from warmlens.config.file import parse_config
 from warmlens.config.model import Config
 from warmlens.fitting.lens_fit import first_model, fit_lens, outside_cores, solve_given, usable_pixels
 from warmlens.fitting.linear import solve
-from warmlens.fitting.smooth_model import band_fit
+from warmlens.fitting.smooth_model import SmoothModel, band_fit
 from warmlens.fitting.variable_projection import covariance, prior_axes
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
@@ -28,7 +28,7 @@ from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, surface_brightness
 from warmlens.lensing.macro_model import deflection, light_images
 from warmlens.products.observation import observation_datasets, read_observation
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.stages import scan_operator, smooth_model
 from warmlens.types import FloatArray
 

@@ -12,13 +12,14 @@ from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.campaign.settings import stage_settings
 from warmlens.config.file import load_config, parse_config
 from warmlens.config.model import Config
+from warmlens.fitting.smooth_model import scan_band
 from warmlens.imaging.psf import point_source
 from warmlens.lensing.images import DeflectionField
 from warmlens.lensing.substructure import filtered_deflection
 from warmlens.physics import geometry, halo_generator
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import FAILED_HERE, OK
-from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stages import deflections, halos, mocks, observation, smooth_model
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from warmlens.fitting.image_model import ImageModel, Solution
 from warmlens.fitting.linear import LinearModel, build_linear_model
+from warmlens.imaging.observation import Band, Observation
 from warmlens.imaging.psf import Convolution
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.rays import SmoothRays
@@ -87,6 +90,49 @@ class BandFit:
         return self.chi2_noise_only / (self.n_pixels_outside_cores - self.n_columns)
 
 
+@dataclass(frozen=True)
+class SmoothModel:
+    """What the campaign reads of the smooth model.
+
+    Attributes
+    ----------
+    deflection
+        At the pixel centres [2, ny, nx] [arcsec].
+    rays
+        Sub-pixels on the sky and in the source plane.
+    sets, supersampling, ridge
+        Source basis, sub-pixels per pixel and axis, and prior of the linear fit.
+    names, fixed
+        Per band: names and blurred images [npix, n_fixed] of the columns that no perturber moves.
+    fits
+        Per band: amplitudes, model and chi2.
+    lens_models, kwargs_lens
+        The lens in lenstronomy's names.
+    quasars
+        Positions of the quasar images [n_quasars, 2] [arcsec].
+    macro
+        Per band: what the image changes by when the fitted parameters move along the axes of their errors, by
+        one sigma each [npix, n_axes]; none for a given lens, whose errors are not known.
+    macro_sigma
+        Width of the fit's own prior along each axis, in units of that sigma [n_axes], >= 1.
+    """
+
+    deflection: FloatArray
+    rays: SmoothRays
+    sets: tuple[ShapeletSet, ...]
+    supersampling: int
+    ridge: float
+    names: tuple[str, ...]
+    fixed: dict[str, FloatArray]
+    n_quasars: int
+    fits: dict[str, BandFit]
+    lens_models: tuple[str, ...]
+    kwargs_lens: tuple[dict[str, Any], ...]
+    quasars: FloatArray
+    macro: dict[str, FloatArray]
+    macro_sigma: FloatArray
+
+
 def linear_model(
     sets: Sequence[ShapeletSet],
     rays: SmoothRays,
@@ -150,4 +196,15 @@ def band_fit(
         n_pixels_outside_cores=int(outside.sum()),
         chi2_noise_only=float(np.sum((residual / noise)[outside] ** 2)),
         n_columns=n_columns,
+    )
+
+
+def scan_band(observation: Observation, model: SmoothModel, name: str) -> tuple[Band, Convolution]:
+    """Band `name` with the noise, the mask and the PSF of the smooth model, and its convolution."""
+    band = next(item for item in observation.bands if item.name == name)
+    fit = model.fits[name]
+    used = band.mask & np.isfinite(fit.sigma)
+    return (
+        dataclasses.replace(band, sigma=fit.sigma, mask=used, psf=fit.psf),
+        Convolution(fit.psf, observation.grid.shape),
     )

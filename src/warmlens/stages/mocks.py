@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import lensed_image, subpixel_field
 from warmlens.imaging.observation import Band
@@ -16,7 +17,7 @@ from warmlens.imaging.psf import Convolution, point_source
 from warmlens.lensing.images import DeflectionField, moved_images
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import SampleTable, null
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.products.time_limit import SAMPLE_SECONDS
 from warmlens.sampling import stream
 from warmlens.stages.settings import MocksSettings, NullMocksSettings

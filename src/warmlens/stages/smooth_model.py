@@ -13,7 +13,7 @@ import numpy as np
 from warmlens.artifacts.file import Dataset, Provenance, write_artifact
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.fitting.lens_fit import LensFit, fit_lens, noise_sigma, outside_cores, solve_given
-from warmlens.fitting.smooth_model import BandFit, band_fit
+from warmlens.fitting.smooth_model import BandFit, SmoothModel, band_fit, scan_band
 from warmlens.fitting.variable_projection import covariance, prior_axes
 from warmlens.imaging.mock import lensed_image
 from warmlens.imaging.noise_correlation import autocorrelation, neighbours
@@ -21,7 +21,7 @@ from warmlens.imaging.observation import Observation
 from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
 from warmlens.products.observation import read_observation
-from warmlens.products.smooth_model import SmoothModel, scan_band, smooth_model_datasets
+from warmlens.products.smooth_model import smooth_model_datasets
 from warmlens.stages.settings import SmoothModelSettings
 from warmlens.types import FloatArray
 
