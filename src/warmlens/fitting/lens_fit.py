@@ -116,15 +116,9 @@ class _FitState:
         self.solution = self.model.solve(self.model.space.start)
 
     def result(self, converged: bool) -> LensFit:
-        return LensFit(
-            model=self.model,
-            solution=self.solution,
-            noise=tuple(self._noise(i) for i in range(len(self.model.bands))),
-            outside_cores=self._outside_cores(),
-            converged=converged,
-            psf_errors=self.psf_errors,
-            history=tuple(self.history),
-        )
+        noise = tuple(self._noise(i) for i in range(len(self.model.bands)))
+        outside, history = self._outside_cores(), tuple(self.history)
+        return LensFit(self.model, self.solution, noise, outside, converged, self.psf_errors, history)
 
     def _set_model(self, model: ImageModel, vector: FloatArray | None = None) -> None:
         self.model = model
@@ -137,9 +131,9 @@ class _FitState:
         """Search with a swarm on the smallest source, then fit rising orders of the source, misfit tempered."""
         if fit.psf is not None:  # the fluxes of a first solution show where the PSF matters
             fraction = fit.psf.unknown_fraction
-            self.left_out = [
-                fraction * self._quasar_light(i)[0] * band.weights > 1.0 for i, band in enumerate(self.model.bands)
-            ]
+            lights = [self._quasar_light(i)[0] for i in range(len(self.model.bands))]
+            pairs = zip(lights, self.model.bands, strict=True)
+            self.left_out = [fraction * light * band.weights > 1.0 for light, band in pairs]
         vector = self.model.space.start
         self.set_noise()
         if fit.search is not None:
@@ -160,17 +154,12 @@ class _FitState:
         model = tempered(self.model, self.solution.vector) if temper else self.model
         outcome = fit_parameters(model, self.solution.vector, max_steps, tolerance, name)
         self.solution = outcome.solution
-        step = FitStep(
-            name,
-            self.model.basis.n_max,
-            len(self.model.basis.clumps),
-            self.solution.chi2 / self.solution.n_pixels,
-            outcome.steps,
-            outcome.converged,
-            time.monotonic() - begin,
+        chi2 = self.solution.chi2 / self.solution.n_pixels
+        log.info("%s: chi2 per pixel %.4f, %s", name, chi2, outcome.message)
+        basis, seconds = self.model.basis, time.monotonic() - begin
+        self.history.append(
+            FitStep(name, basis.n_max, len(basis.clumps), chi2, outcome.steps, outcome.converged, seconds)
         )
-        log.info("%s: chi2 per pixel %.4f, %s", name, step.chi2_per_pixel, outcome.message)
-        self.history.append(step)
         return outcome.converged
 
     def correct_psf(self, psf: PsfFitBlock, times: int) -> None:
@@ -280,15 +269,11 @@ def first_model(block: SmoothModelBlock, observed: Observation) -> ImageModel:
 def _first_bands(block: SmoothModelBlock, observed: Observation, psf: PsfFitBlock | None) -> tuple[FitBand, ...]:
     """Bands with the noise of the data, and with smooth wings of a PSF that is going to be corrected."""
     usable, scale = usable_pixels(block, observed.grid), observed.grid.pixel_scale
-    return tuple(
-        FitBand(
-            band.name,
-            band.image,
-            np.where(usable, band.weights, 0.0),
-            band.psf if psf is None else smooth_wings(band.psf, scale, *psf.wing_radii_arcsec),
-        )
-        for band in observed.bands
-    )
+    bands = []
+    for band in observed.bands:
+        kernel = band.psf if psf is None else smooth_wings(band.psf, scale, *psf.wing_radii_arcsec)
+        bands.append(FitBand(band.name, band.image, np.where(usable, band.weights, 0.0), kernel))
+    return tuple(bands)
 
 
 def usable_pixels(block: SmoothModelBlock, grid: PixelGrid) -> BoolArray:

@@ -157,12 +157,8 @@ def read_fits(blocks: dict[str, FitsBandBlock]) -> Observation:
         pairs.append(read_band(name, block))
         (first_grid, first), (grid, _) = pairs[0], pairs[-1]
         if grid != first_grid:
-            raise ConfigError(
-                [
-                    f"band {name} lies on other pixels than band {first.name}: {grid} against {first_grid}; "
-                    "align the images (same shape, pixel scale, orientation and centre)"
-                ]
-            )
+            problem = f"band {name} lies on other pixels than band {first.name}: {grid} against {first_grid}"
+            raise ConfigError([f"{problem}; align the images (same shape, pixel scale, orientation and centre)"])
     return Observation("fits", pairs[0][0], tuple(band for _, band in pairs))
 
 
