@@ -81,9 +81,9 @@ def test_a_feature_is_found_where_it_is(one: ImageModel) -> None:
 
 def test_rays_resolve_clumps_on_a_critical_curve() -> None:
     """A feature behind the lens's centre makes a ring: magnified without limit along it, not at all across."""
-    found = found_in(build({(LENS[0]["center_x"] - CENTER[0], LENS[0]["center_y"] - CENTER[1]): 3.0}))
-    assert found
-    for clump in found:
+    sets = found_in(build({(LENS[0]["center_x"] - CENTER[0], LENS[0]["center_y"] - CENTER[1]): 3.0}))
+    assert sets
+    for clump in sets:
         assert clump.beta > 0.5 * GRID.pixel_scale * 0.8  # across, an isothermal lens shrinks lengths by 1
 
 
@@ -110,18 +110,18 @@ def test_counter_images_are_one_clump(one: ImageModel) -> None:
     near = np.hypot(x - alpha[0] - CENTER[0] - CLUMP[0], y - alpha[1] - CENTER[1] - CLUMP[1]) < 0.08
     sides = [near & (significance > 6.0) & side for side in (x + y > 0.0, x + y <= 0.0)]
     assert all(side.any() for side in sides)  # images on both sides of the lens
-    found = found_in(one)
-    assert sum(offset(clump, CLUMP) < 1.5 * clump.beta for clump in found) == 1
-    for i, clump in enumerate(found):
-        for other in found[:i]:
+    sets = found_in(one)
+    assert sum(offset(clump, CLUMP) < 1.5 * clump.beta for clump in sets) == 1
+    for i, clump in enumerate(sets):
+        for other in sets[:i]:
             apart = offset(clump, (other.center_x, other.center_y))
             assert apart > 1.5 * max(clump.beta, other.beta)
 
 
 def test_a_clump_takes_the_residual_away(one: ImageModel) -> None:
     before = one.solve(np.empty(0))
-    found = find_clumps(one, before, clumps(15, 6.0), NOTHING)
-    with_clumps = replace(one, basis=replace(one.basis, clumps=found))
+    sets = find_clumps(one, before, clumps(15, 6.0), NOTHING)
+    with_clumps = replace(one, basis=replace(one.basis, clumps=sets))
     after = with_clumps.solve(np.empty(0))
     assert residual_significance(with_clumps, after).max() < 0.3 * residual_significance(one, before).max()
     assert after.chi2 / after.n_pixels < 1.1 < before.chi2 / before.n_pixels
@@ -149,13 +149,13 @@ def test_excluded_pixels_make_no_clumps(one: ImageModel) -> None:
     x, y = GRID.coordinates()
     alpha = deflection(("SIE",), LENS, x, y)
     images = np.hypot(x - alpha[0] - CENTER[0] - CLUMP[0], y - alpha[1] - CENTER[1] - CLUMP[1]) < 0.15
-    found = found_in(one, excluded=images)
-    assert all(offset(clump, CLUMP) > clump.beta for clump in found)
+    sets = found_in(one, excluded=images)
+    assert all(offset(clump, CLUMP) > clump.beta for clump in sets)
 
 
 @pytest.mark.parametrize("n_bands", [1, 2])
 def test_significance_of_noise(n_bands: int) -> None:
-    """rms 1 a band, in quadrature; the weights' size and a mask do not matter."""
+    """rms 1 per band, in quadrature; the weights' size and a mask do not matter."""
     model = build({}, n_bands)
     significance = residual_significance(model, model.solve(np.empty(0)))
     rms = np.sqrt(np.mean(significance**2))

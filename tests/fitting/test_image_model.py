@@ -88,10 +88,10 @@ def smooth_image(psf: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Noise-free image whose source is richer than the model's, so that the residuals hold structure."""
     x, y = GRID.subpixel_coordinates(1)
     alpha = deflection(LENSES, KWARGS_LENS, x, y)
-    item = ShapeletSet(7, 0.2, 0.05, 0.02)
-    coefficients = rng.normal(size=item.n_coefficients) * 0.2
+    shapelets = ShapeletSet(7, 0.2, 0.05, 0.02)
+    coefficients = rng.normal(size=shapelets.n_coefficients) * 0.2
     coefficients[0] = 4.0
-    light = (pixel_basis([item], x - alpha[0], y - alpha[1]) @ coefficients).reshape(GRID.shape)
+    light = (pixel_basis([shapelets], x - alpha[0], y - alpha[1]) @ coefficients).reshape(GRID.shape)
     galaxies = np.tensordot((60.0, 20.0), light_images(LIGHTS, KWARGS_LIGHT, GRID, 1), axes=1)
     quasars = sum(f * point_source(psf, GRID, *q) for f, q in zip(FLUXES, QUASARS, strict=True))
     return Convolution(psf, GRID.shape).forward(light + galaxies) + quasars + 0.02
@@ -225,8 +225,8 @@ def test_amplitudes_are_those_of_the_linear_model(model: ImageModel) -> None:
 
 def test_masked_pixels_do_not_matter(model: ImageModel) -> None:
     blue = model.bands[1]
-    wild = replace(blue, image=np.where(blue.weights > 0.0, blue.image, 1e6))
-    changed = replace(model, bands=(model.bands[0], wild))
+    bright = replace(blue, image=np.where(blue.weights > 0.0, blue.image, 1e6))
+    changed = replace(model, bands=(model.bands[0], bright))
     assert changed.solve(model.space.start).chi2 == model.solve(model.space.start).chi2
 
 

@@ -309,7 +309,7 @@ def test_structure_that_rays_do_not_resolve(folder: Path, fitted: Path, observed
 def test_bright_arcs_that_are_fitted_worse_than_faint_ones_are_reported(
     folder: Path, observed: Observation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Pixels wrong by 2% of the arcs' light: chi2 a pixel grows with the light."""
+    """Pixels wrong by 2% of the arcs' light: chi2 per pixel grows with the light."""
     given = smooth_block() | {"mode": "given", "fit": None}
     model = read_smooth_model(run(given, folder, "bright.h5"))
     outside = outside_cores(config(given).smooth_model, GRID, model.quasars)
@@ -424,9 +424,9 @@ def test_psf_is_improved_in_the_fit(observed: Observation) -> None:
     wrong = hst_like_psf(800.0, GRID.pixel_scale, 15, blur_arcsec=0.03)
     band = checked_band(right.name, GRID, right.image, right.sigma, right.mask, wrong, right.noise)
     fit = fit_lens(config(block).smooth_model, Observation("simulated", GRID, (band,)))
-    found = fit.model.bands[0].psf
+    improved = fit.model.bands[0].psf
     core = np.s_[4:11, 4:11]
-    before, after = (np.abs(psf - right.psf)[core].max() for psf in (wrong, found))
+    before, after = (np.abs(psf - right.psf)[core].max() for psf in (wrong, improved))
     assert after < 0.5 * before
     assert fit.psf_errors is not None and len(fit.psf_errors) == 1
     assert fit.psf_errors[0].radius[-1] == pytest.approx(0.4, abs=0.03)

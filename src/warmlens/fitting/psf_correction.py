@@ -81,14 +81,8 @@ def corrected_psf(
 ) -> FloatArray:
     """Return the PSF of band `number`, corrected on the quasar images; sum 1.
 
-    Parameters
-    ----------
-    model, solution
-        Model and its best amplitudes with the PSF so far.
-    radius
-        The kernel is corrected within [arcsec].
-    relative_sigma
-        Prior of each pixel's correction, as a fraction of the PSF there.
+    The kernel is corrected within `radius` [arcsec]; `relative_sigma` is the width of the prior on each pixel's
+    correction, as a fraction of the PSF there.
     """
     band, solved = model.bands[number], solution.bands[number]
     quasars = solution.macro.quasars
@@ -125,14 +119,7 @@ def _correction_columns(grid: PixelGrid, quasars: FloatArray, fluxes: FloatArray
 def psf_error(model: ImageModel, solution: Solution, number: int, sigma: FloatArray, radius: float) -> PsfError:
     """Measure the error left in the PSF of band `number` from what the quasar images leave over the noise.
 
-    Parameters
-    ----------
-    model, solution
-        Model and its best amplitudes.
-    sigma
-        Noise without the PSF's error [ny, nx].
-    radius
-        Largest distance from an image [arcsec].
+    `sigma` is the noise without the PSF's error [ny, nx], `radius` the largest distance from an image [arcsec].
 
     Notes
     -----

@@ -23,8 +23,6 @@ def particle_swarm(
     ----------
     model
         Data, free parameters and a small source basis: every particle costs a linear solve.
-    particles, iterations
-        Size of the swarm and number of its moves.
     searched
         Which parameters take part [n]; the others stay at their start.
 

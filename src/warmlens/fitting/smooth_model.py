@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -172,16 +171,9 @@ def _macro_columns(model: ImageModel, solution: Solution) -> tuple[list[FloatArr
 def band_fit(
     model: ImageModel, solution: Solution, number: int, noise_sigma: FloatArray, outside_cores: BoolArray
 ) -> BandFit:
-    """Return what the campaign needs of one band of a solved model.
+    """Return what the campaign needs of band `number` of a solved model.
 
-    Parameters
-    ----------
-    model, solution, number
-        Model, its best amplitudes, and which band.
-    noise_sigma
-        Noise of the observation alone [ny, nx].
-    outside_cores
-        Pixels that are not in the core of a quasar image [ny, nx].
+    `noise_sigma` is the noise of the observation alone, `outside_cores` the pixels beyond the quasars [ny, nx].
 
     Raises
     ------
@@ -225,7 +217,5 @@ def scan_band(observation: Observation, model: SmoothModel, name: str) -> tuple[
     band = next(band for band in observation.bands if band.name == name)
     fit = model.fits[name]
     used = band.mask & np.isfinite(fit.sigma)
-    return (
-        dataclasses.replace(band, sigma=fit.sigma, mask=used, psf=fit.psf),
-        Convolution(fit.psf, observation.grid.shape),
-    )
+    convolution = Convolution(fit.psf, observation.grid.shape)
+    return replace(band, sigma=fit.sigma, mask=used, psf=fit.psf), convolution

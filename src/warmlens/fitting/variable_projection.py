@@ -26,16 +26,10 @@ class Outcome:
 
 
 def fit_parameters(model: ImageModel, start: FloatArray, max_steps: int, tolerance: float, label: str) -> Outcome:
-    """Minimise |residuals|^2 from a parameter vector [n].
+    """Minimise |residuals|^2 from a parameter vector [n], by at most `max_steps` evaluations of the model.
 
-    Parameters
-    ----------
-    max_steps
-        Evaluations of the model allowed.
-    tolerance
-        The fit has converged when a step lowers the cost by less than this fraction.
-    label
-        Name of the fit in the log.
+    The fit has converged when a step lowers the cost by less than the fraction `tolerance`; `label` names it in
+    the log.
 
     Notes
     -----

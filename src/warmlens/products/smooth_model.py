@@ -128,6 +128,6 @@ def read_smooth_model(path: Path) -> SmoothModel:
 
 
 def _read_fit(artifact: Artifact, band: str) -> BandFit:
-    arrays = {name: artifact.array(f"{band}/{name}") for name in _BAND_ARRAYS}
-    numbers = {name: artifact.metadata["fits"][band][name] for name in _BAND_NUMBERS}
-    return BandFit(**arrays, **numbers)
+    stored: dict[str, Any] = {name: artifact.array(f"{band}/{name}") for name in _BAND_ARRAYS}
+    stored |= {name: artifact.metadata["fits"][band][name] for name in _BAND_NUMBERS}
+    return BandFit(**stored)
