@@ -1,4 +1,4 @@
-"""Does the observed scan look like its mocks', and where not? Faint and bright positions apart.
+"""Does the observed scan look like its mocks', and where not? Faint and bright positions separately.
 
 python benchmarks/cloud.py results/hst_full --json FILE
 
@@ -30,7 +30,7 @@ QUANTILES = (0.16, 0.5, 0.84)
 
 
 def numbers(artifact: Artifact, row: int | None) -> dict[str, float]:
-    """Numbers of one map, the bands added; `row` of a chunk, or of an observed scan."""
+    """Return numbers of one map, the bands added: `row` of a chunk, or None for an observed scan."""
     bands = artifact.metadata["bands"]
 
     def added(name: str) -> FloatArray:
@@ -56,7 +56,7 @@ def numbers(artifact: Artifact, row: int | None) -> dict[str, float]:
 
 
 def mocks(paths: list[Path], stage: str, n_mocks: int) -> Iterator[dict[str, float]]:
-    """Numbers of every mock that did not fail; the last chunk may hold more than the campaign counts."""
+    """Yield numbers of every mock that did not fail; the last chunk may hold more than the campaign counts."""
     for path in paths:
         with open_artifact(path, stage) as artifact:
             table = SampleTable.read(artifact)
@@ -65,7 +65,7 @@ def mocks(paths: list[Path], stage: str, n_mocks: int) -> Iterator[dict[str, flo
 
 
 def main() -> None:
-    """Print the observation beside samples and null mocks."""
+    """Print the observation with samples and null mocks."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("results", type=Path)
     parser.add_argument("--json", type=Path, help="write the numbers here")
@@ -73,27 +73,28 @@ def main() -> None:
     config = read_campaign(arguments.results)
     with open_artifact(arguments.results / SINGLE["observed_scan"], "observed_scan") as artifact:
         observed = numbers(artifact, None)
-    clouds = {
+    simulated = {
         "samples": list(mocks(stage_files(config, "scans"), "scans", config.campaign.n_samples)),
         "null mocks": list(mocks(stage_files(config, "null_scans"), "null_scans", config.null_test.n_mocks)),
     }
-    result = compare(observed, clouds)
+    result = compare(observed, simulated)
     if arguments.json:
         arguments.json.write_text(json.dumps(result, indent=2))
 
 
-def compare(observed: dict[str, float], clouds: dict[str, list[dict[str, float]]]) -> dict[str, dict[str, object]]:
-    """Print and return each number of the observation beside its quantiles in the clouds, `samples` among them."""
-    table = Table(
-        "", "the observation", *(f"{len(found)} {name}" for name, found in clouds.items()), "samples below it"
-    )
+def compare(
+    observed: dict[str, float], simulated: dict[str, list[dict[str, float]]]
+) -> dict[str, dict[str, object]]:
+    """Print and return each number of the observation with its quantiles in sets of mocks, one named `samples`."""
+    counts = (f"{len(rows)} {kind}" for kind, rows in simulated.items())
+    table = Table("", "the observation", *counts, "samples below it")
     result: dict[str, dict[str, object]] = {}
     for name, value in observed.items():
         line = {}
-        for kind, found in clouds.items():
-            low, middle, high = np.quantile([item[name] for item in found], QUANTILES)
+        for kind, rows in simulated.items():
+            low, middle, high = np.quantile([row[name] for row in rows], QUANTILES)
             line[kind] = {"low": low, "median": middle, "high": high}
-        below = float(np.mean([item[name] < value for item in clouds["samples"]]))
+        below = float(np.mean([row[name] < value for row in simulated["samples"]]))
         shown = [f"{q['median']:.4g} ({q['low']:.4g} to {q['high']:.4g})" for q in line.values()]
         table.add_row(name, f"{value:.4g}", *shown, f"{below:.1%}")
         result[name] = {"observation": value, "samples_below": below, **line}

@@ -30,10 +30,11 @@ from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.status import read_campaign
+from warmlens.fitting.smooth_model import scan_band
 from warmlens.imaging.noise import NoiseModel
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import SampleTable
-from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stages.mocks import noise_free_image
 from warmlens.summaries.correlation import PairGeometry, correlation_function

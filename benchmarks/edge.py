@@ -26,8 +26,9 @@ from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import campaign_job
 from warmlens.campaign.status import read_campaign
+from warmlens.fitting.smooth_model import scan_band
 from warmlens.products.observation import read_observation
-from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stages.mocks import noise_free_image
 from warmlens.stages.observation import true_image

@@ -12,8 +12,8 @@ Mocks of the smooth model, scanned and fitted by the campaign's operator as the 
 - the lens has a multipole of its own angular structure;
 - the substructure of samples of the campaign bends the light, as it is and many times as much.
 
-Each kind leaves its own mark: how bad the bright arc is fitted, whether images of one source point miss the same
-light (`counterparts` of residuals.py), and how the scan takes it. Beside them stands the observation.
+Each kind leaves its own mark: how badly the bright arc is fitted, whether images of one source point miss the same
+light (`counterparts` of residuals.py), and how the scan takes it. The observation is listed with them.
 """
 
 from __future__ import annotations
@@ -39,13 +39,14 @@ from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.status import read_campaign
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.mock import lensed_image
 from warmlens.imaging.observation import Band, Observation
 from warmlens.imaging.psf import Convolution, fwhm
 from warmlens.imaging.shapelets import surface_brightness
 from warmlens.products.observation import read_observation
 from warmlens.products.scan_operator import read_linear_model
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stages.mocks import noise_free_image
 from warmlens.types import FloatArray
@@ -71,11 +72,11 @@ def spots(model: SmoothModel, name: str, convolution: Convolution, rng: np.rando
     x, y = model.rays.source_x, model.rays.source_y
     light = surface_brightness(model.sets, model.fits[name].source_coefficients, x, y).mean(axis=1)
     chance = np.clip(light, 0.0, None)
-    found = np.zeros_like(x)
+    light_of_spots = np.zeros_like(x)
     for pixel in rng.choice(len(light), N_SPOTS, p=chance / chance.sum()):
         distance2 = (x - x[pixel].mean()) ** 2 + (y - y[pixel].mean()) ** 2
-        found += rng.choice([-1.0, 1.0]) * light[pixel] * np.exp(-0.5 * distance2 / SPOT_SIGMA**2)
-    return convolution.forward(found.mean(axis=1).reshape(convolution.shape))
+        light_of_spots += rng.choice([-1.0, 1.0]) * light[pixel] * np.exp(-0.5 * distance2 / SPOT_SIGMA**2)
+    return convolution.forward(light_of_spots.mean(axis=1).reshape(convolution.shape))
 
 
 def multipole(model: SmoothModel, observed: Observation, order: int, strength: float, angle: float) -> FloatArray:
@@ -93,10 +94,12 @@ def multipole(model: SmoothModel, observed: Observation, order: int, strength: f
     return np.stack(LensModel(["MULTIPOLE"]).alpha(x, y, [parameters]))
 
 
-def kinds(results: Path, observed: Observation, model: SmoothModel, item: Band) -> dict[str, list[FloatArray]]:
-    """Noise-free images of a band by kind; draws of a kind take them in turn."""
-    band, convolution = scan_band(observed, model, item.name)
-    fit, seed = model.fits[item.name], read_campaign(results).campaign.seed
+def images_by_kind(
+    results: Path, observed: Observation, model: SmoothModel, data: Band
+) -> dict[str, list[FloatArray]]:
+    """Noise-free images of a band by kind of misfit; draws of a kind take them in turn."""
+    band, convolution = scan_band(observed, model, data.name)
+    fit, seed = model.fits[data.name], read_campaign(results).campaign.seed
 
     def arcs(kernel: FloatArray) -> FloatArray:
         x, y = model.rays.source_x, model.rays.source_y
@@ -104,49 +107,49 @@ def kinds(results: Path, observed: Observation, model: SmoothModel, item: Band) 
 
     light, scale = arcs(band.psf), observed.grid.pixel_scale
     smooth = light + fit.fixed_image
-    found = {
+    images = {
         "as fitted": [smooth],
-        "PSF of the file": [arcs(item.psf) + fit.fixed_image],
+        "PSF of the file": [arcs(data.psf) + fit.fixed_image],
         f"PSF {BROADER:.0%} broader": [arcs(broader(band.psf, scale, (BROADER, BROADER))) + fit.fixed_image],
         f"PSF {BROADER:.0%} broader along x": [arcs(broader(band.psf, scale, (0.0, BROADER))) + fit.fixed_image],
     }
     wrong_psfs = [
-        band.psf * (1.0 + PSF_PIXELS * stream(seed, "PSF pixels", i, item.name).normal(size=band.psf.shape))
+        band.psf * (1.0 + PSF_PIXELS * stream(seed, "PSF pixels", i, data.name).normal(size=band.psf.shape))
         for i in range(N_FIELDS)
     ]
-    found[f"PSF pixels wrong by {PSF_PIXELS:.0%}"] = [arcs(p / p.sum()) + fit.fixed_image for p in wrong_psfs]
-    fine = [spots(model, item.name, convolution, stream(seed, "spots", i)) for i in range(N_FIELDS)]
+    images[f"PSF pixels wrong by {PSF_PIXELS:.0%}"] = [arcs(p / p.sum()) + fit.fixed_image for p in wrong_psfs]
+    fine = [spots(model, data.name, convolution, stream(seed, "spots", i)) for i in range(N_FIELDS)]
     for contrast in CONTRASTS:
-        found[f"spots of {contrast:.0%}"] = [smooth + contrast * image for image in fine]
+        images[f"spots of {contrast:.0%}"] = [smooth + contrast * image for image in fine]
     for part in PIXEL_ERRORS:
-        errors = [stream(seed, "pixel errors", i, item.name).normal(size=light.shape) for i in range(N_FIELDS)]
-        found[f"pixels wrong by {part:.0%}"] = [smooth + part * light * error for error in errors]
+        errors = [stream(seed, "pixel errors", i, data.name).normal(size=light.shape) for i in range(N_FIELDS)]
+        images[f"pixels wrong by {part:.0%}"] = [smooth + part * light * error for error in errors]
 
     def bent(fields: Iterable[FloatArray]) -> list[FloatArray]:
         return [noise_free_image(model, observed.grid, band, convolution, field) for field in fields]
 
     for order, strength in MULTIPOLES:
         turned = np.arange(N_FIELDS) / N_FIELDS * 2.0 * np.pi / order
-        found[f"multipole {order} of {strength:.0%}"] = bent(
+        images[f"multipole {order} of {strength:.0%}"] = bent(
             multipole(model, observed, order, strength, float(angle)) for angle in turned
         )
     with open_artifact(stage_files(read_campaign(results), "deflections")[0], "deflections") as artifact:
         fields = artifact["delta_alpha"][:N_FIELDS].astype(np.float64)
     for factor in AMPLIFY:
-        found[f"substructure x {factor:g}"] = bent(factor * fields)
-    return found
+        images[f"substructure x {factor:g}"] = bent(factor * fields)
+    return images
 
 
-def noisy(images: dict[str, list[FloatArray]], item: Band, n_draws: int, seed: int) -> Iterator[FloatArray]:
-    """Every kind with the same draws of noise."""
+def noisy_images(images: dict[str, list[FloatArray]], data: Band, n_draws: int, seed: int) -> Iterator[FloatArray]:
+    """Draw every kind with the same noise."""
     for clean in images.values():
         for i in range(n_draws):
             image = clean[i % len(clean)]
-            yield item.noise.draw(image, item.noise.sigma(image), stream(seed, "misfit", i, item.name))
+            yield data.noise.draw(image, data.noise.sigma(image), stream(seed, "misfit", i, data.name))
 
 
 def main() -> None:
-    """Print mean and scatter for every kind, beside the observation."""
+    """Print the observation, and mean and scatter for every kind."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("results", type=Path)
     parser.add_argument("--draws", type=int, default=20, help="of the noise, for each kind")
@@ -159,21 +162,21 @@ def main() -> None:
     images: dict[str, FloatArray] = {}
     marks: dict[str, FloatArray] = {}
     names: list[str] = []
-    for item in observed.bands:
-        clean = kinds(results, observed, model, item)
+    for band in observed.bands:
+        clean = images_by_kind(results, observed, model, band)
         names = list(clean)
-        images[item.name] = np.stack([*noisy(clean, item, arguments.draws, seed), item.image])
+        images[band.name] = np.stack([*noisy_images(clean, band, arguments.draws, seed), band.image])
         with open_artifact(results / SINGLE["scan_design"], "scan_design") as design:
-            linear = read_linear_model(design, item.name)
-        pixels = regions(observed, model, item)
+            linear = read_linear_model(design, band.name)
+        pixels = regions(observed, model, band)
         pairs = counterparts(observed, model, pixels[BRIGHT_ARC])
-        weights = scan_band(observed, model, item.name)[0].weights
-        lines = list(numbers(images[item.name], weights, linear, pixels, pairs))
-        marks |= {f"{item.name}, {key}": np.array([line[key] for line in lines]) for key in lines[0]}
-    found = {**statistics(scan(results, images)), **marks}
-    shown: dict[str, list[str]] = {"the observation": [f"{values[-1]:.3g}" for values in found.values()]}
+        weights = scan_band(observed, model, band.name)[0].weights
+        lines = list(numbers(images[band.name], weights, linear, pixels, pairs))
+        marks |= {f"{band.name}, {key}": np.array([line[key] for line in lines]) for key in lines[0]}
+    columns = {**statistics(scan(results, images)), **marks}
+    shown: dict[str, list[str]] = {"the observation": [f"{values[-1]:.3g}" for values in columns.values()]}
     written = {}
-    for name, values in found.items():
+    for name, values in columns.items():
         by_kind = values[:-1].reshape(len(names), arguments.draws)
         mean, scatter = by_kind.mean(axis=1), by_kind.std(axis=1, ddof=1)
         for kind, m, s in zip(names, mean, scatter, strict=True):
@@ -183,7 +186,7 @@ def main() -> None:
             "mean": dict(zip(names, mean.tolist(), strict=True)),
             "scatter": dict(zip(names, scatter.tolist(), strict=True)),
         }
-    table = Table("", *found)
+    table = Table("", *columns)
     for kind, cells in shown.items():
         table.add_row(kind, *cells)
     Console(width=260).print(table)

@@ -2,7 +2,7 @@
 
 python benchmarks/residuals.py results/hst_full --json FILE
 
-chi2 a pixel by region: arcs are told apart by their brightness in noise deviations of a pixel, away from the
+chi2 per pixel by region: arcs are divided by their brightness in noise deviations of a pixel, away from the
 quasar images; cores are those of the quasar images and of the lens. Every image is fitted with all the freedom
 that the scan gives source and lens.
 
@@ -33,11 +33,12 @@ from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.status import read_campaign
 from warmlens.fitting.linear import LinearModel, solve
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.observation import Band, Observation
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import SampleTable
 from warmlens.products.scan_operator import read_linear_model
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.types import BoolArray, FloatArray
 
 QUASAR_CORE, QUASAR_HALO, LENS_CORE = 0.25, 0.8, 0.3  # arcsec
@@ -47,24 +48,24 @@ SAME_POINT = (0.02, 0.04)  # arcsec in the source plane, at most
 OTHER_IMAGE = 0.5  # arcsec on the sky, at least
 
 
-def regions(observed: Observation, model: SmoothModel, item: Band) -> dict[str, BoolArray]:
-    """Pixels of each region [ny, nx] that has any, those that the fit leaves out not among them."""
-    fit = model.fits[item.name]
+def regions(observed: Observation, model: SmoothModel, band: Band) -> dict[str, BoolArray]:
+    """Pixels of each region [ny, nx] that has any, without those that the fit leaves out."""
+    fit = model.fits[band.name]
     x, y = observed.grid.coordinates()
     to_quasar = np.min([np.hypot(x - x_i, y - y_i) for x_i, y_i in model.quasars], axis=0)
-    used = scan_band(observed, model, item.name)[0].mask
-    brightness = (fit.model - fit.fixed_image) / item.sigma
+    used = scan_band(observed, model, band.name)[0].mask
+    brightness = (fit.model - fit.fixed_image) / band.sigma
     away = used & (to_quasar > QUASAR_HALO)
-    found = {
+    by_region = {
         f"arc at {low:g} to {high:g} sigma": away & (brightness > low) & (brightness <= high)
         for low, high in itertools.pairwise(BRIGHTNESS)
     }
-    found[BRIGHT_ARC] = away & (brightness > 10.0)
-    if not found[BRIGHT_ARC].any():
-        raise SystemExit(f"{item.name}: no arc exceeds 10 noise deviations of a pixel: nothing to compare")
-    found["cores of quasar images"] = used & (to_quasar < QUASAR_CORE)
-    found["core of the lens"] = used & (np.hypot(x, y) < LENS_CORE)
-    return {name: pixels for name, pixels in found.items() if pixels.any()}
+    by_region[BRIGHT_ARC] = away & (brightness > 10.0)
+    if not by_region[BRIGHT_ARC].any():
+        raise SystemExit(f"{band.name}: no arc exceeds 10 noise deviations of a pixel: nothing to compare")
+    by_region["cores of quasar images"] = used & (to_quasar < QUASAR_CORE)
+    by_region["core of the lens"] = used & (np.hypot(x, y) < LENS_CORE)
+    return {name: pixels for name, pixels in by_region.items() if pixels.any()}
 
 
 def counterparts(observed: Observation, model: SmoothModel, pixels: BoolArray) -> dict[str, sparse.csr_array]:
@@ -75,12 +76,12 @@ def counterparts(observed: Observation, model: SmoothModel, pixels: BoolArray) -
     near = spatial.cKDTree(source).query_pairs(max(SAME_POINT), output_type="ndarray")
     near = near[np.linalg.norm(sky[near[:, 0]] - sky[near[:, 1]], axis=1) > OTHER_IMAGE]
     apart = np.linalg.norm(source[near[:, 0]] - source[near[:, 1]], axis=1)
-    found = {}
+    pairs = {}
     for low, high in itertools.pairwise((0.0, *SAME_POINT)):
         i, j = index[near[(apart >= low) & (apart < high)]].T
         weights = sparse.coo_array((np.full(len(i), 1.0 / len(i)), (i, j)), shape=(pixels.size, pixels.size))
-        found[f'counterparts, {low:g} to {high:g}" ({len(i)} pairs)'] = weights.tocsr()
-    return found
+        pairs[f'counterparts, {low:g} to {high:g}" ({len(i)} pairs)'] = weights.tocsr()
+    return pairs
 
 
 def numbers(
@@ -90,7 +91,7 @@ def numbers(
     pixels: dict[str, BoolArray],
     pairs: dict[str, sparse.csr_array],
 ) -> Iterator[dict[str, float]]:
-    """Of each image [n, ny, nx]: mean squared residual of each region, mean product over each kind of pairs."""
+    """Yield the mean squared residual per region and mean product per kind of pairs of each image [n, ny, nx]."""
     whitened = (weights * images).reshape(len(images), -1).T
     for residual in solve(model, np.ascontiguousarray(whitened)).residual.T:
         chi2 = {name: float((residual[region.ravel()] ** 2).mean()) for name, region in pixels.items()}
@@ -98,7 +99,7 @@ def numbers(
 
 
 def mocks(paths: list[Path], stage: str, n_mocks: int, band: str) -> Iterator[FloatArray]:
-    """Images of the mocks of each chunk that did not fail [n, ny, nx]."""
+    """Yield images of the mocks of each chunk that did not fail [n, ny, nx]."""
     for path in paths:
         with open_artifact(path, stage) as artifact:
             table = SampleTable.read(artifact)
@@ -107,7 +108,7 @@ def mocks(paths: list[Path], stage: str, n_mocks: int, band: str) -> Iterator[Fl
 
 
 def main() -> None:
-    """Print the observation beside samples and null mocks, band by band."""
+    """Print the observation with samples and null mocks, band by band."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("results", type=Path)
     parser.add_argument("--json", type=Path, help="write the numbers here")
@@ -119,10 +120,10 @@ def main() -> None:
         read_smooth_model(results / SINGLE["smooth_model"]),
     )
     written = {}
-    for item in observed.bands:
-        weights, pixels = scan_band(observed, model, item.name)[0].weights, regions(observed, model, item)
+    for band in observed.bands:
+        weights, pixels = scan_band(observed, model, band.name)[0].weights, regions(observed, model, band)
         with open_artifact(results / SINGLE["scan_design"], "scan_design") as design:
-            linear = read_linear_model(design, item.name)
+            linear = read_linear_model(design, band.name)
         fit = functools.partial(
             numbers,
             weights=weights,
@@ -130,11 +131,11 @@ def main() -> None:
             pixels=pixels,
             pairs=counterparts(observed, model, pixels[BRIGHT_ARC]),
         )
-        print(f"{item.name}: chi2 a pixel; pixels: {', '.join(f'{k} {v.sum()}' for k, v in pixels.items())}")
-        clouds = {
+        print(f"{band.name}: chi2 per pixel; pixels: {', '.join(f'{k} {v.sum()}' for k, v in pixels.items())}")
+        simulated = {
             name: [
                 line
-                for images in mocks(stage_files(config, stage), stage, n_mocks, item.name)
+                for images in mocks(stage_files(config, stage), stage, n_mocks, band.name)
                 for line in fit(images)
             ]
             for name, stage, n_mocks in (
@@ -142,8 +143,8 @@ def main() -> None:
                 ("null mocks", "null_mocks", config.null_test.n_mocks),
             )
         }
-        (values,) = fit(item.image[None])
-        written[item.name] = compare(values, clouds)
+        (values,) = fit(band.image[None])
+        written[band.name] = compare(values, simulated)
     if arguments.json:
         arguments.json.write_text(json.dumps(written, indent=2))
 

@@ -95,13 +95,13 @@ def test_fit_finds_the_lens(lens: Lens) -> None:
     with open_artifact(lens.results / "smooth_model.h5", "smooth_model") as artifact:
         assert artifact.metadata["warnings"] == []
         assert artifact.metadata["fits"]["F140W"]["chi2_red"] == pytest.approx(1.0, abs=0.06)  # 3 of its sigma
-    found = {name: values for name, values in parameters(lens).items() if not name.startswith("source")}
-    pull = {name: (value - truth(name)) / error for name, (value, error) in found.items()}
+    fitted = {name: values for name, values in parameters(lens).items() if not name.startswith("source")}
+    pull = {name: (value - truth(name)) / error for name, (value, error) in fitted.items()}
     assert len(pull) == 22
     assert max(map(abs, pull.values())) < 3.5, pull
     assert np.sqrt(np.mean(np.square(list(pull.values())))) < 1.5
-    assert found["lens_0.theta_E"][1] < 0.003  # the errors are not so wide that anything is within them
-    assert found["quasar_0.x"][1] < 0.003
+    assert fitted["lens_0.theta_E"][1] < 0.003  # the errors are not so wide that anything is within them
+    assert fitted["quasar_0.x"][1] < 0.003
 
 
 def quasars_are_bright(path: Path) -> bool:

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from warmlens.config.smooth_model import ClumpsBlock
 from warmlens.fitting.clumps import find_clumps, residual_significance
 from warmlens.fitting.image_model import FitBand, ImageModel, SourceBasis
 from warmlens.fitting.parameters import Macro, ParameterSpace
@@ -26,7 +27,11 @@ NOTHING = np.zeros(GRID.shape, dtype=bool)
 SCALE = 0.5
 
 
-def build(clumps: dict[tuple[float, float], float], n_bands: int = 1, noise: float = SIGMA) -> ImageModel:
+def clumps(number: int, threshold: float) -> ClumpsBlock:
+    return ClumpsBlock(number=number, n_max=2, threshold=threshold, scale_in_fwhm=SCALE)
+
+
+def build(features: dict[tuple[float, float], float], n_bands: int = 1, noise: float = SIGMA) -> ImageModel:
     """Arcs of a global source (in the basis) and of compact Gaussians (not in it) of the given peaks."""
     bands = tuple(
         FitBand(str(i), np.zeros(GRID.shape), np.full(GRID.shape, 1.0 / SIGMA), hst_like_psf(wave, 0.06, 13))
@@ -38,8 +43,8 @@ def build(clumps: dict[tuple[float, float], float], n_bands: int = 1, noise: flo
         ridge=1e-10, tie_arcsec=np.inf,
     )  # fmt: skip
     solution = model.solve(np.empty(0))
-    sets = [*solution.sets, *(ShapeletSet(0, 0.03, CENTER[0] + x, CENTER[1] + y) for x, y in clumps)]
-    coefficients = np.concatenate([[3.0, 0.2, -0.1], np.zeros(12), list(clumps.values())])
+    sets = [*solution.sets, *(ShapeletSet(0, 0.03, CENTER[0] + x, CENTER[1] + y) for x, y in features)]
+    coefficients = np.concatenate([[3.0, 0.2, -0.1], np.zeros(12), list(features.values())])
     light = surface_brightness(sets, coefficients, solution.source_x, solution.source_y).mean(axis=-1)
     rng = np.random.default_rng(2)
     filled = [
@@ -51,7 +56,7 @@ def build(clumps: dict[tuple[float, float], float], n_bands: int = 1, noise: flo
 
 def found_in(model: ImageModel, number: int = 15, threshold: float = 6.0, excluded=NOTHING):  # type: ignore[no-untyped-def]
     """In arcsec, relative to the source's centre; the sets themselves are in units of its scale."""
-    sets = find_clumps(model, model.solve(np.empty(0)), number, 2, threshold, SCALE, excluded)
+    sets = find_clumps(model, model.solve(np.empty(0)), clumps(number, threshold), excluded)
     return tuple(ShapeletSet(c.n_max, BETA * c.beta, BETA * c.center_x, BETA * c.center_y) for c in sets)
 
 
@@ -76,9 +81,9 @@ def test_a_feature_is_found_where_it_is(one: ImageModel) -> None:
 
 def test_rays_resolve_clumps_on_a_critical_curve() -> None:
     """A feature behind the lens's centre makes a ring: magnified without limit along it, not at all across."""
-    found = found_in(build({(LENS[0]["center_x"] - CENTER[0], LENS[0]["center_y"] - CENTER[1]): 3.0}))
-    assert found
-    for clump in found:
+    sets = found_in(build({(LENS[0]["center_x"] - CENTER[0], LENS[0]["center_y"] - CENTER[1]): 3.0}))
+    assert sets
+    for clump in sets:
         assert clump.beta > 0.5 * GRID.pixel_scale * 0.8  # across, an isothermal lens shrinks lengths by 1
 
 
@@ -89,7 +94,7 @@ def test_pixels_without_weight_make_no_clumps(one: ImageModel) -> None:
     half = replace(one, bands=(replace(band, weights=np.where(left, band.weights, 0.0)),))
     solution = half.solve(np.empty(0))
     rays = np.array([solution.source_x, solution.source_y]).reshape(2, -1)[:, left.ravel()]
-    sets = find_clumps(half, solution, 15, 2, 3.0, SCALE, NOTHING)
+    sets = find_clumps(half, solution, clumps(15, 3.0), NOTHING)
     assert sets
     for clump in sets:
         center = solution.center + BETA * np.array([clump.center_x, clump.center_y])
@@ -105,18 +110,18 @@ def test_counter_images_are_one_clump(one: ImageModel) -> None:
     near = np.hypot(x - alpha[0] - CENTER[0] - CLUMP[0], y - alpha[1] - CENTER[1] - CLUMP[1]) < 0.08
     sides = [near & (significance > 6.0) & side for side in (x + y > 0.0, x + y <= 0.0)]
     assert all(side.any() for side in sides)  # images on both sides of the lens
-    found = found_in(one)
-    assert sum(offset(item, CLUMP) < 1.5 * item.beta for item in found) == 1
-    for i, item in enumerate(found):
-        for other in found[:i]:
-            apart = offset(item, (other.center_x, other.center_y))
-            assert apart > 1.5 * max(item.beta, other.beta)
+    sets = found_in(one)
+    assert sum(offset(clump, CLUMP) < 1.5 * clump.beta for clump in sets) == 1
+    for i, clump in enumerate(sets):
+        for other in sets[:i]:
+            apart = offset(clump, (other.center_x, other.center_y))
+            assert apart > 1.5 * max(clump.beta, other.beta)
 
 
 def test_a_clump_takes_the_residual_away(one: ImageModel) -> None:
     before = one.solve(np.empty(0))
-    found = find_clumps(one, before, 15, 2, 6.0, SCALE, NOTHING)
-    with_clumps = replace(one, basis=replace(one.basis, clumps=found))
+    sets = find_clumps(one, before, clumps(15, 6.0), NOTHING)
+    with_clumps = replace(one, basis=replace(one.basis, clumps=sets))
     after = with_clumps.solve(np.empty(0))
     assert residual_significance(with_clumps, after).max() < 0.3 * residual_significance(one, before).max()
     assert after.chi2 / after.n_pixels < 1.1 < before.chi2 / before.n_pixels
@@ -127,7 +132,7 @@ def test_number_threshold_and_order() -> None:
     model = build({CLUMP: 1.0, OTHER: 3.0})
     both = found_in(model)
     assert offset(both[0], OTHER) < both[0].beta
-    assert any(offset(item, CLUMP) < item.beta for item in both[1:])
+    assert any(offset(clump, CLUMP) < clump.beta for clump in both[1:])
     assert found_in(model, number=1) == both[:1]
     few = found_in(model, threshold=20.0)
     assert 1 <= len(few) <= len(both) and few == both[: len(few)]
@@ -144,13 +149,13 @@ def test_excluded_pixels_make_no_clumps(one: ImageModel) -> None:
     x, y = GRID.coordinates()
     alpha = deflection(("SIE",), LENS, x, y)
     images = np.hypot(x - alpha[0] - CENTER[0] - CLUMP[0], y - alpha[1] - CENTER[1] - CLUMP[1]) < 0.15
-    found = found_in(one, excluded=images)
-    assert all(offset(item, CLUMP) > item.beta for item in found)
+    sets = found_in(one, excluded=images)
+    assert all(offset(clump, CLUMP) > clump.beta for clump in sets)
 
 
 @pytest.mark.parametrize("n_bands", [1, 2])
 def test_significance_of_noise(n_bands: int) -> None:
-    """rms 1 a band, in quadrature; the weights' size and a mask do not matter."""
+    """rms 1 per band, in quadrature; the weights' size and a mask do not matter."""
     model = build({}, n_bands)
     significance = residual_significance(model, model.solve(np.empty(0)))
     rms = np.sqrt(np.mean(significance**2))

@@ -88,10 +88,10 @@ def smooth_image(psf: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Noise-free image whose source is richer than the model's, so that the residuals hold structure."""
     x, y = GRID.subpixel_coordinates(1)
     alpha = deflection(LENSES, KWARGS_LENS, x, y)
-    item = ShapeletSet(7, 0.2, 0.05, 0.02)
-    coefficients = rng.normal(size=item.n_coefficients) * 0.2
+    shapelets = ShapeletSet(7, 0.2, 0.05, 0.02)
+    coefficients = rng.normal(size=shapelets.n_coefficients) * 0.2
     coefficients[0] = 4.0
-    light = (pixel_basis([item], x - alpha[0], y - alpha[1]) @ coefficients).reshape(GRID.shape)
+    light = (pixel_basis([shapelets], x - alpha[0], y - alpha[1]) @ coefficients).reshape(GRID.shape)
     galaxies = np.tensordot((60.0, 20.0), light_images(LIGHTS, KWARGS_LIGHT, GRID, 1), axes=1)
     quasars = sum(f * point_source(psf, GRID, *q) for f, q in zip(FLUXES, QUASARS, strict=True))
     return Convolution(psf, GRID.shape).forward(light + galaxies) + quasars + 0.02
@@ -158,9 +158,9 @@ def test_gradient_needs_the_moving_source_centre() -> None:
     np.testing.assert_allclose(still.solve(vector).chi2, solution.chi2, rtol=1e-12)
     images, _ = model.derivatives(solution)
     others, _ = still.derivatives(solution)
-    j = model.space.index("lens_1.gamma1")
+    j = model.space.names.index("lens_1.gamma1")
     assert np.abs(images[0][:, j] - others[0][:, j]).max() > 0.1 * np.abs(images[0][:, j]).max()
-    light = model.space.index("light_0.R_sersic")
+    light = model.space.names.index("light_0.R_sersic")
     np.testing.assert_array_equal(images[0][:, light], others[0][:, light])
 
 
@@ -225,18 +225,18 @@ def test_amplitudes_are_those_of_the_linear_model(model: ImageModel) -> None:
 
 def test_masked_pixels_do_not_matter(model: ImageModel) -> None:
     blue = model.bands[1]
-    wild = replace(blue, image=np.where(blue.weights > 0.0, blue.image, 1e6))
-    changed = replace(model, bands=(model.bands[0], wild))
+    bright = replace(blue, image=np.where(blue.weights > 0.0, blue.image, 1e6))
+    changed = replace(model, bands=(model.bands[0], bright))
     assert changed.solve(model.space.start).chi2 == model.solve(model.space.start).chi2
 
 
 def test_what_amplitudes_follow_is_projected_out(model: ImageModel) -> None:
     solved = model.solve(model.space.start).bands[0]
     followed = solved.design @ np.random.default_rng(1).normal(size=(solved.design.shape[1], 3))
-    assert np.abs(solved.unfollowed(followed)).max() < 1e-6 * np.abs(followed).max()
+    assert np.abs(solved.project_out(followed)).max() < 1e-6 * np.abs(followed).max()
     free = np.random.default_rng(2).normal(size=(solved.pixels.size, 3))
-    left = solved.unfollowed(free)
-    np.testing.assert_allclose(solved.unfollowed(left), left, atol=1e-8)
+    left = solved.project_out(free)
+    np.testing.assert_allclose(solved.project_out(left), left, atol=1e-8)
     np.testing.assert_allclose(solved.design.T @ left, 0.0, atol=1e-6)
     assert np.abs(left).max() > 1.0
 

@@ -15,9 +15,11 @@ import yaml
 from warmlens.artifacts.file import Provenance, open_artifact, write_artifact
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
-from warmlens.fitting.lens_fit import first_model, fit_lens, outside_cores, solve_given, usable_pixels
+from warmlens.fitting import judgement
+from warmlens.fitting.judgement import ArcChi2, band_residuals, chi2_of_arcs, unresolved_pixels
+from warmlens.fitting.lens_fit import first_model, fit_lens, outside_cores, usable_pixels
 from warmlens.fitting.linear import solve
-from warmlens.fitting.smooth_model import band_fit
+from warmlens.fitting.smooth_model import SmoothModel, band_fit
 from warmlens.fitting.variable_projection import covariance, prior_axes
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
@@ -27,9 +29,8 @@ from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, surface_brightness
 from warmlens.lensing.macro_model import deflection, light_images
 from warmlens.products.observation import observation_datasets, read_observation
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.stage_table import stage_settings
-from warmlens.stages import smooth_model
 from warmlens.stages.scan_operator import scan_linear_model
 from warmlens.types import FloatArray
 
@@ -157,10 +158,10 @@ def test_correlated_noise_of_the_image_is_warned_of(known: bool, tmp_path: Path)
         row, column, across = neighbours(artifact.array("F814W/residual_correlation"))
         warnings = artifact.metadata["warnings"]
     assert (row, column, across) == pytest.approx((0.2, 0.3, 0.1), abs=0.06)  # the fit takes a little of it
-    told = (
+    expected = (
         f"F814W: neighbouring pixels' residuals correlate by {row:.2f} along rows and {column:.2f} along columns"
     )
-    assert [told in warning for warning in warnings] == ([] if known else [True])
+    assert [expected in warning for warning in warnings] == ([] if known else [True])
 
 
 def off(block: dict[str, Any]) -> dict[str, Any]:
@@ -187,7 +188,7 @@ def test_fit_finds_the_lens(fitted: Path) -> None:
         meta = artifact.metadata
         value, error = artifact.array("parameters/value"), artifact.array("parameters/error")
         matrix = artifact.array("parameters/covariance")
-    names = [item["name"] for item in meta["parameters"]]
+    names = [parameter["name"] for parameter in meta["parameters"]]
     truth = {"lens_0.theta_E": 1.0, "lens_0.e1": 0.12, "lens_1.gamma1": 0.06, "lens_2.theta_E": 0.1,
              "lens_2.center_x": 0.3, "lens_3.coeffs_1": 0.0, "light_0.R_sersic": 0.3, "quasar_3.y": 1.026176,
              "source_0.beta": 0.15}  # fmt: skip
@@ -297,55 +298,59 @@ def test_hit_limits_are_named(folder: Path) -> None:
 def test_structure_that_rays_do_not_resolve(folder: Path, fitted: Path, observed: Observation) -> None:
     """A set of 1 mas beside the ray of one pixel, where it adds nothing: chi2 is as before, mocks are not."""
     model = read_smooth_model(fitted)
-    assert smooth_model.wild_pixels(observed, model)["F814W"].size == 0
+    assert unresolved_pixels(observed, model, "F814W").size == 0
     fit = model.fits["F814W"]
     ray = np.argmax(fit.model - fit.fixed_image)
     x, y = model.rays.source_x.ravel()[ray], model.rays.source_y.ravel()[ray]
     tiny = ShapeletSet(0, 0.001, float(x) + 0.004, float(y))
     amplitudes = np.append(fit.source_coefficients, 1e4 * fit.source_coefficients.max())
     finer = replace(model, sets=(*model.sets, tiny), fits={"F814W": replace(fit, source_coefficients=amplitudes)})
-    assert smooth_model.wild_pixels(observed, finer)["F814W"].max() > 30.0
+    assert unresolved_pixels(observed, finer, "F814W").max() > 30.0
 
 
-def test_bright_arcs_that_are_fitted_worse_than_faint_ones_are_told(
+def test_bright_arcs_that_are_fitted_worse_than_faint_ones_are_reported(
     folder: Path, observed: Observation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Pixels wrong by 2% of the arcs' light: chi2 a pixel grows with the light."""
+    """Pixels wrong by 2% of the arcs' light: chi2 per pixel grows with the light."""
     given = smooth_block() | {"mode": "given", "fit": None}
-    block = config(given).smooth_model
-    path = run(given, folder, "bright.h5")
-    model = read_smooth_model(path)
-    before = smooth_model.chi2_of_arcs(block, observed, model)["F814W"]
+    model = read_smooth_model(run(given, folder, "bright.h5"))
+    outside = outside_cores(config(given).smooth_model, GRID, model.quasars)
+
+    def chi2(band: Band) -> ArcChi2:
+        arcs = chi2_of_arcs(model, "F814W", band_residuals(band, model, outside))
+        assert arcs is not None
+        return arcs
+
+    band = observed.bands[0]
+    before = chi2(band)
     assert before.bright == pytest.approx(before.faint, abs=4.0 * np.sqrt(2.0 / before.n_bright))
     fit = model.fits["F814W"]
     light = fit.model - fit.fixed_image
     wrong = 0.02 * light * np.random.default_rng(8).normal(size=light.shape)
-    band = observed.bands[0]
-    changed = replace(observed, bands=(replace(band, image=band.image + wrong),))
-    after = smooth_model.chi2_of_arcs(block, changed, model)["F814W"]
+    after = chi2(replace(band, image=band.image + wrong))
     bright = light > 10.0 * fit.sigma
     assert after.n_bright == before.n_bright > 100
     assert after.bright - before.bright == pytest.approx(np.mean((wrong / fit.sigma)[bright] ** 2), rel=0.3)
-    monkeypatch.setattr(smooth_model, "chi2_of_arcs", lambda *_: {"F814W": after})
+    monkeypatch.setattr(judgement, "chi2_of_arcs", lambda *_: after)
     with open_artifact(run(given, folder, "worse.h5"), "smooth_model") as artifact:
         (warning,) = artifact.metadata["warnings"]
     assert f"chi2 a pixel is {after.bright:.2f} where the arcs exceed 10 sigma" in warning
     few = after._replace(n_bright=10)  # their chi2 may scatter as much
-    monkeypatch.setattr(smooth_model, "chi2_of_arcs", lambda *_: {"F814W": few})
+    monkeypatch.setattr(judgement, "chi2_of_arcs", lambda *_: few)
     with open_artifact(run(given, folder, "few.h5"), "smooth_model") as artifact:
         assert artifact.metadata["warnings"] == []
 
 
-def test_a_source_that_rays_do_not_resolve_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_source_that_rays_do_not_resolve_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A little of it is a warning, much is refused."""
     block = smooth_block() | {"mode": "given", "fit": None}
-    monkeypatch.setattr(smooth_model, "wild_pixels", lambda *_: {"F814W": np.array([4.0, 8.0])})
-    with open_artifact(run(block, folder, "wild.h5"), "smooth_model") as artifact:
+    monkeypatch.setattr(judgement, "unresolved_pixels", lambda *_: np.array([4.0, 8.0]))
+    with open_artifact(run(block, folder, "unresolved.h5"), "smooth_model") as artifact:
         (warning,) = artifact.metadata["warnings"]
     assert "1 mas changes 2 pixels by more than their arc's light, by up to 8 sigma" in warning
-    monkeypatch.setattr(smooth_model, "wild_pixels", lambda *_: {"F814W": np.array([4.0, 80.0])})
+    monkeypatch.setattr(judgement, "unresolved_pixels", lambda *_: np.array([4.0, 80.0]))
     with pytest.raises(ValueError, match=r"up to 80 sigma.*smooth_model\.source\.clumps"):
-        run(block, folder, "wilder.h5")
+        run(block, folder, "refused.h5")
 
 
 def test_chi2_below_the_range_is_a_warning(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -361,12 +366,11 @@ def test_clumps(mode: str, clumpy: Observation) -> None:
     """None and 0 are the same; 15 allowed find the feature, and chi2 falls to the noise."""
     block = smooth_block() | {"mode": mode}
     block["fit"] |= {"levels": [], "max_steps": 3}
-    solver = fit_lens if mode == "fit" else solve_given
     results = []
     for number in (None, 0, 15):
         block["source"]["clumps"] = number if number is None else {
             "number": number, "n_max": 1, "threshold": 6.0, "scale_in_fwhm": 0.5}  # fmt: skip
-        results.append(solver(config(block).smooth_model, clumpy))
+        results.append(fit_lens(config(block).smooth_model, clumpy))
     none, zero, some = results
     assert none.model.basis.clumps == zero.model.basis.clumps == ()
     assert zero.solution.chi2 == pytest.approx(none.solution.chi2, rel=1e-3)
@@ -388,7 +392,7 @@ def test_disc_and_core_masks(observed: Observation) -> None:
     distance = np.hypot(x - 0.01, y + 0.02)  # of the first lens' centre
     usable = usable_pixels(settings, GRID)
     np.testing.assert_array_equal(usable, (distance <= 1.5) & (distance >= 0.2))
-    fit = solve_given(settings, observed)
+    fit = fit_lens(settings, observed)
     expected = usable & observed.bands[0].mask
     np.testing.assert_array_equal(fit.model.bands[0].weights > 0.0, expected)
     assert 0 < fit.solution.n_pixels == expected.sum() < 0.7 * observed.bands[0].mask.sum()
@@ -396,7 +400,7 @@ def test_disc_and_core_masks(observed: Observation) -> None:
 
 def test_masks_stay_through_the_noise_of_the_quasars(observed: Observation) -> None:
     block = smooth_block() | {"mode": "given", "disc_arcsec": 1.5, "quasar_variance_fraction": 0.05}
-    fit = solve_given(config(block).smooth_model, observed)
+    fit = fit_lens(config(block).smooth_model, observed)
     usable = usable_pixels(config(block).smooth_model, GRID) & observed.bands[0].mask
     weights = fit.model.bands[0].weights
     np.testing.assert_array_equal(weights > 0.0, usable)
@@ -422,14 +426,14 @@ def test_psf_is_improved_in_the_fit(observed: Observation) -> None:
     wrong = hst_like_psf(800.0, GRID.pixel_scale, 15, blur_arcsec=0.03)
     band = checked_band(right.name, GRID, right.image, right.sigma, right.mask, wrong, right.noise)
     fit = fit_lens(config(block).smooth_model, Observation("simulated", GRID, (band,)))
-    found = fit.model.bands[0].psf
+    improved = fit.model.bands[0].psf
     core = np.s_[4:11, 4:11]
-    before, after = (np.abs(psf - right.psf)[core].max() for psf in (wrong, found))
+    before, after = (np.abs(psf - right.psf)[core].max() for psf in (wrong, improved))
     assert after < 0.5 * before
     assert fit.psf_errors is not None and len(fit.psf_errors) == 1
     assert fit.psf_errors[0].radius[-1] == pytest.approx(0.4, abs=0.03)
     assert [step.name for step in fit.history] == ["n_max 6", "PSF 1 of 1", "last fit"]
-    given = solve_given(
+    given = fit_lens(
         config(smooth_block() | {"mode": "given"}).smooth_model, Observation("simulated", GRID, (band,))
     )
     assert fit.solution.chi2 < given.solution.chi2
@@ -452,10 +456,10 @@ def test_noise_is_the_model_s_or_the_data_s(observed: Observation) -> None:
     blocks = {name: smooth_block() | {"mode": "given", "noise_from": name} for name in ("model", "data")}
     settings = {name: config(block).smooth_model for name, block in blocks.items()}
     for name, data in (("data", counted), ("data", mapped), ("model", mapped)):
-        fit = solve_given(settings[name], data)
+        fit = fit_lens(settings[name], data)
         np.testing.assert_allclose(fit.model.bands[0].weights[2:], 1.0 / band.sigma[2:], rtol=1e-12)
-    fit = solve_given(settings["model"], counted)
-    first = first_model(settings["model"], counted, None)
+    fit = fit_lens(settings["model"], counted)
+    first = first_model(settings["model"], counted)
     before = band_fit(first, first.solve(np.empty(0)), 0, band.sigma, np.ones(GRID.shape, dtype=bool))
     np.testing.assert_allclose(fit.model.bands[0].weights[2:], 1.0 / poisson.sigma(before.model)[2:], rtol=1e-9)
     assert np.abs(fit.model.bands[0].weights[2:] * band.sigma[2:] - 1.0).max() > 0.05
@@ -504,7 +508,7 @@ def test_macro_columns_are_what_moving_the_lens_does(folder: Path, fitted: Path)
     """One sigma along an axis of the fit's errors changes the image by that column, and the scan takes them."""
     model = read_smooth_model(fitted)
     with open_artifact(fitted, "smooth_model") as artifact:
-        names = [item["name"] for item in artifact.metadata["parameters"]]
+        names = [parameter["name"] for parameter in artifact.metadata["parameters"]]
     refitted = fit_lens(config(off(smooth_block())).smooth_model, read_observation(folder / "observation.h5"))
     axes, _ = prior_axes(refitted.model, refitted.solution)
     derivatives = np.linalg.solve(axes.T, model.macro["F814W"].T).T  # per unit of each parameter
@@ -523,8 +527,8 @@ def test_macro_columns_are_what_moving_the_lens_does(folder: Path, fitted: Path)
         for rays in (moved, (model.rays.source_x, model.rays.source_y))
     ]
     expected = Convolution(model.fits["F814W"].psf, GRID.shape).forward((images[0] - images[1]) / 1e-4)
-    found = derivatives[:, theta_e].reshape(GRID.shape)
-    np.testing.assert_allclose(found, expected, atol=2e-3 * np.abs(expected).max())
+    column = derivatives[:, theta_e].reshape(GRID.shape)
+    np.testing.assert_allclose(column, expected, atol=2e-3 * np.abs(expected).max())
 
     raw = config(smooth_block()).model_dump()
     raw["scan"] |= {"marginalise_lens": True, "nested": None}

@@ -49,7 +49,7 @@ NAMES = (
 def test_names_and_start(space: ParameterSpace) -> None:
     assert space.names == NAMES
     np.testing.assert_array_equal(space.start, [1.0, 0.3, 0.0, 0.01, 0.02, 0.4, 1.0, 0.5, -0.8, 0.2, 0.2])
-    assert [space.index(name) for name in NAMES] == list(range(11))
+    assert [space.names.index(name) for name in NAMES] == list(range(11))
 
 
 def test_every_value_reaches_its_place_and_no_other(space: ParameterSpace) -> None:
@@ -66,7 +66,7 @@ def test_every_value_reaches_its_place_and_no_other(space: ParameterSpace) -> No
 def test_satellite_s_light_follows_its_lens(space: ParameterSpace) -> None:
     """The free centre and the one that is not free; without the pair the light stays where it was."""
     vector = space.start
-    vector[space.index("lens_1.center_x")] = -0.25
+    vector[space.names.index("lens_1.center_x")] = -0.25
     assert space.macro(vector).kwargs_light[1] == {"R_sersic": 0.1, "center_x": -0.25, "center_y": 0.7}
     alone = ParameterSpace(space.base, space.parameters)
     assert alone.macro(vector).kwargs_light[1] == LIGHT[1]

@@ -83,7 +83,7 @@ def test_correction_moves_towards_the_truth(image: FloatArray) -> None:
     assert after.chi2 / after.n_pixels < 1.05
     assert before.chi2 / before.n_pixels > 2.0
     fluxes = (solution.bands[0].fixed_amplitudes[:4] for solution in (before, after))
-    worst = [np.abs(found / FLUXES - 1.0).max() for found in fluxes]
+    worst = [np.abs(fitted / FLUXES - 1.0).max() for fitted in fluxes]
     assert worst[1] < 0.5 * worst[0]
 
 
@@ -93,11 +93,11 @@ def test_correction_of_the_right_psf_is_noise(image: FloatArray) -> None:
 
 def test_only_pixels_within_the_radius_change(image: FloatArray) -> None:
     radius = kernel_radius(WRONG, 0.055)
-    found = corrected(WRONG, image, 1, radius=0.15)
+    kernel = corrected(WRONG, image, 1, radius=0.15)
     outside = radius > 0.15
-    ratio = (found / WRONG)[outside]
+    ratio = (kernel / WRONG)[outside]
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-12)  # normalised again, no more
-    assert np.ptp((found / WRONG)[~outside]) > 0.01
+    assert np.ptp((kernel / WRONG)[~outside]) > 0.01
 
 
 def test_prior_bounds_the_correction(image: FloatArray) -> None:
@@ -119,8 +119,8 @@ def test_correction_has_the_right_orientation(flip: bool) -> None:
     model = blank(skewed)
     image = observed_image(1)
     fixed = model.solve(np.empty(0)).bands[0].fixed[:4] - blank(RIGHT).solve(np.empty(0)).bands[0].fixed[:4]
-    found = corrected_psf(*with_psf(RIGHT, image + np.tensordot(FLUXES, fixed, axes=1)), 0, 0.5, 20.0)
-    change = found - RIGHT
+    kernel = corrected_psf(*with_psf(RIGHT, image + np.tensordot(FLUXES, fixed, axes=1)), 0, 0.5, 20.0)
+    change = kernel - RIGHT
     assert np.unravel_index(np.argmax(change), change.shape) == (12 + rows, 12 + columns)
     assert change.max() == pytest.approx(0.02, rel=0.15)
 

@@ -98,19 +98,19 @@ def test_never_worse_than_the_start(model: ImageModel) -> None:
 def test_the_lens_is_found_from_far_off(model: ImageModel) -> None:
     """A start 40 per cent off in theta_E and with the ellipticity's sign turned."""
     far = starting(model, FAR)
-    found = search(far, 5, 24, 25)
-    per_pixel = far.solve(found).chi2 / GRID.ny / GRID.nx
+    best = search(far, 5, 24, 25)
+    per_pixel = far.solve(best).chi2 / GRID.ny / GRID.nx
     assert far.solve(FAR).chi2 / GRID.ny / GRID.nx > 10.0
     assert per_pixel < 1.5
-    np.testing.assert_allclose(found[:3], TRUTH[:3], atol=0.05)
+    np.testing.assert_allclose(best[:3], TRUTH[:3], atol=0.05)
 
 
 def test_only_what_is_searched_moves_and_within_limits(model: ImageModel) -> None:
     far = starting(model, FAR)
-    found = search(far, 5, searched=np.array([True, True, True, False]))
-    assert found[3] == FAR[3] and np.all(found[:3] != FAR[:3])
+    best = search(far, 5, searched=np.array([True, True, True, False]))
+    assert best[3] == FAR[3] and np.all(best[:3] != FAR[:3])
     lower, upper = far.space.limits
-    assert np.all((lower < found) & (found < upper))
+    assert np.all((lower < best) & (best < upper))
 
 
 def test_priors_take_part(model: ImageModel) -> None:

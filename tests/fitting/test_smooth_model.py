@@ -9,16 +9,15 @@ import pytest
 
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.fitting.image_model import ImageModel, Solution
-from warmlens.fitting.lens_fit import first_model, outside_cores, with_noise
-from warmlens.fitting.linear import solve
-from warmlens.fitting.smooth_model import FixedColumns, band_fit, linear_model
+from warmlens.fitting.lens_fit import first_model, fit_lens, outside_cores
+from warmlens.fitting.linear import build_linear_model, solve
+from warmlens.fitting.smooth_model import band_fit
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Observation, checked_band
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
 from warmlens.lensing.macro_model import deflection
-from warmlens.lensing.rays import SmoothRays
 from warmlens.types import BoolArray, FloatArray
 
 GRID = PixelGrid.centred((40, 40), 0.05)
@@ -73,7 +72,7 @@ def observed(source: FloatArray) -> Observation:
 
 
 def solved(settings: SmoothModelBlock, observed: Observation) -> tuple[ImageModel, Solution, BoolArray]:
-    model = first_model(settings, observed, None)
+    model = first_model(settings, observed)
     solution = model.solve(model.space.start)
     return model, solution, outside_cores(settings, GRID, np.array(QUASARS))
 
@@ -117,12 +116,10 @@ def test_the_scan_s_linear_model_is_the_same_fit(observed: Observation) -> None:
     model, solution, outside = solved(block(), observed)
     band = observed.bands[0]
     fit = band_fit(model, solution, 0, band.sigma, outside)
-    x, y = GRID.subpixel_coordinates(1)
-    rays = SmoothRays(x, y, solution.source_x, solution.source_y)
-    columns = np.ascontiguousarray(solution.bands[0].fixed.reshape(3, -1).T)
-    fixed = FixedColumns(("quasar_0", "quasar_1", "background"), columns, 2)
+    source = pixel_basis(solution.sets, solution.source_x, solution.source_y)
+    fixed = np.ascontiguousarray(solution.bands[0].fixed.reshape(3, -1).T)
     weights = np.where(np.isfinite(fit.sigma), 1.0 / fit.sigma, 0.0)
-    rebuilt = linear_model(solution.sets, rays, fixed, Convolution(fit.psf, GRID.shape), weights, 1e-8)
+    rebuilt = build_linear_model(source, fixed, Convolution(fit.psf, GRID.shape), weights, 1e-8)
     again = solve(rebuilt, (weights * band.image).reshape(-1, 1))
     assert again.chi2[0] == pytest.approx(fit.chi2, rel=1e-9)
 
@@ -132,9 +129,8 @@ def test_variance_near_quasars(observed: Observation) -> None:
     model, solution, outside = solved(settings, observed)
     band = observed.bands[0]
     plain = band_fit(model, solution, 0, band.sigma, outside)
-    noisy = with_noise(model, solution, settings, observed)
-    again = noisy.solve(solution.vector)
-    fit = band_fit(noisy, again, 0, band.sigma, outside)
+    noisy = fit_lens(settings, observed)
+    fit = band_fit(noisy.model, noisy.solution, 0, band.sigma, outside)
     quasars = np.tensordot(plain.fixed_coefficients[:2], solution.bands[0].fixed[:2], axes=1)
     expected = np.sqrt(band.sigma**2 + (0.2 * quasars) ** 2)
     np.testing.assert_allclose(fit.sigma[band.mask], expected[band.mask], rtol=1e-9)

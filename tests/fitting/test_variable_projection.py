@@ -99,9 +99,9 @@ def test_truth_is_recovered(model, outcome) -> None:  # type: ignore[no-untyped-
 
 def test_without_noise_the_truth_is_exact(model: ImageModel) -> None:
     clean = observed(blank(LENS_FREE), None)
-    found = fit_parameters(clean, away(clean), 30, 1e-12, "test").solution
-    assert found.chi2 < 1e-6 * clean.solve(away(clean)).chi2
-    np.testing.assert_allclose(found.vector, clean.space.start, rtol=0, atol=1e-4)
+    best = fit_parameters(clean, away(clean), 30, 1e-12, "test").solution
+    assert best.chi2 < 1e-6 * clean.solve(away(clean)).chi2
+    np.testing.assert_allclose(best.vector, clean.space.start, rtol=0, atol=1e-4)
 
 
 def test_covariance_is_the_scatter_of_fits(model, outcome) -> None:  # type: ignore[no-untyped-def]
@@ -140,10 +140,10 @@ def test_fit_stops_at_a_limit(model: ImageModel) -> None:
     parameters = list(model.space.parameters)
     parameters[0] = replace(parameters[0], start=0.9, upper=0.95)
     boxed = replace(model, space=replace(model.space, parameters=tuple(parameters)))
-    found = fit_parameters(boxed, boxed.space.start, 10, 1e-4, "test").solution
-    hit = boxed.space.at_limit(found.vector)
-    assert hit[0] and found.vector[0] < 0.95
-    assert found.chi2 > 1.2 * model.solve(model.space.start).chi2
+    best = fit_parameters(boxed, boxed.space.start, 10, 1e-4, "test").solution
+    hit = boxed.space.at_limit(best.vector)
+    assert hit[0] and best.vector[0] < 0.95
+    assert best.chi2 > 1.2 * model.solve(model.space.start).chi2
     outside = away(model)
     outside[0] = 5.0  # a start outside of the limits is taken to the nearest
     assert fit_parameters(boxed, outside, 1, 1e-4, "test").solution.vector[0] == pytest.approx(0.95, abs=1e-3)
@@ -158,8 +158,8 @@ def test_the_quasars_tie_fixes_the_lens() -> None:
     bands = tuple(replace(b, image=SIGMA * noise.normal(size=GRID.shape)) for b in model.bands)
     tied = replace(model, bands=bands, tie_arcsec=0.003,
                    space=ParameterSpace(replace(TRUTH, quasars=quasars), parameters))  # fmt: skip
-    found = fit_parameters(tied, tied.space.start, 20, 1e-6, "test").solution
-    apart = np.ptp(found.quasar_sources, axis=0)
+    best = fit_parameters(tied, tied.space.start, 20, 1e-6, "test").solution
+    apart = np.ptp(best.quasar_sources, axis=0)
     assert np.hypot(*np.ptp(tied.solve(tied.space.start).quasar_sources, axis=0)) > 10.0 * np.hypot(*apart)
 
 

@@ -225,11 +225,11 @@ def test_noise_of_the_real_image_is_correlated() -> None:
     folder = os.environ["WARMLENS_HST_DATA"]
     block = FitsBandBlock(science=f"{folder}/sci.fits", psf=f"{folder}/psf.fits", blank_sky_arcsec=4.8)
     _, band = read_band("F814W", block)
-    found = band.noise.correlation
-    assert found is not None
-    row, column, diagonal = neighbours(found)
+    correlation = band.noise.correlation
+    assert correlation is not None
+    row, column, diagonal = neighbours(correlation)
     assert 0.2 < row < 0.35
     assert 0.2 < column < 0.35
     assert 0.05 < diagonal < 0.15
-    assert abs(found[0]).max() < 0.1
-    assert abs(found[:, 0]).max() < 0.1
+    assert abs(correlation[0]).max() < 0.1
+    assert abs(correlation[:, 0]).max() < 0.1

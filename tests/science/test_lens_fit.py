@@ -1,6 +1,6 @@
 """The fit of the smooth lens to two bands that lenstronomy made: truth within 3 sigma, chi2_red within 3% of 1.
 
-100 x 100 pixels a band, so that chi2_red of pure noise scatters by 1.4%; lenstronomy blurs with its own
+100 x 100 pixels per band, so that chi2_red of pure noise scatters by 1.4%; lenstronomy blurs with its own
 convolution and draws the quasars from a kernel of 5 times the resolution, here splines shift the pixels' kernel.
 """
 
@@ -181,7 +181,7 @@ def test_source_and_quasars_come_together(fit: LensFit) -> None:
     np.testing.assert_allclose(fit.solution.center, SOURCE, atol=0.01)
 
 
-def test_a_lens_with_the_wrong_slope_is_told_by_chi2(observed: Observation) -> None:
+def test_a_lens_with_the_wrong_slope_is_revealed_by_chi2(observed: Observation) -> None:
     """Wrong twin: gamma held 5 per cent off, everything else free."""
     free = copy.deepcopy(FREE_LENS)
     del free[0]["gamma"]

@@ -11,13 +11,14 @@ import pytest
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.config.file import load_config, parse_config
 from warmlens.config.model import Config
+from warmlens.fitting.smooth_model import scan_band
 from warmlens.imaging.psf import point_source
 from warmlens.lensing.images import DeflectionField, moved_images
 from warmlens.lensing.substructure import filtered_deflection
 from warmlens.physics import geometry, halo_generator
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import FAILED_HERE, OK
-from warmlens.products.smooth_model import read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stage_table import stage_settings
 from warmlens.stages import deflections

@@ -27,13 +27,11 @@ def resolve_window(config: Config) -> Config:
         return config
     from warmlens.products.images import planned_mask  # astropy takes a second to load
 
+    grid, mask = planned_mask(config.observation)
     try:
-        grid, mask = planned_mask(config.observation)
         raster = Raster.around(mask, grid, scan.step_arcsec)
-    except ConfigError:
-        raise
     except ValueError as error:
-        raise ConfigError([str(error)]) from None
+        raise ConfigError([f"scan.window_arcsec: null: {error}"]) from None
     window = {"window_arcsec": (raster.width, raster.height), "center": raster.center}
     return config.model_copy(update={"scan": scan.model_copy(update=window)})
 

@@ -43,12 +43,7 @@ def check_observation(config: Config) -> list[str]:
         grid = PixelGrid.centred(observation.simulated.shape, observation.simulated.pixel_scale_arcsec)
     else:
         assert observation.fits is not None
-        try:
-            observed = read_fits({name: observation.fits[name] for name in observation.bands})
-        except ConfigError:
-            raise
-        except ValueError as error:
-            raise ConfigError([str(error)]) from None
+        observed = read_fits({name: observation.fits[name] for name in observation.bands})
         grid = observed.grid
         lines.append(describe_grid(grid))
         quasars = np.array(config.smooth_model.quasar_images, dtype=np.float64).reshape(-1, 2)

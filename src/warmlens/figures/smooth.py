@@ -19,12 +19,13 @@ from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.inputs import Inputs
 from warmlens.figures.recipe import map_table, needed, panel_table
 from warmlens.figures.samples import Sample, warm_to_cold
+from warmlens.fitting.smooth_model import SmoothModel
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.shapelets import surface_brightness
 from warmlens.lensing.critical_curves import critical_curves, inverse_magnification
 from warmlens.lensing.macro_model import deflection
 from warmlens.products.observation import read_observation
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.types import BoolArray, FloatArray
 
 RESIDUAL_LIMIT = 5.0  # sigma

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from warmlens.config.smooth_model import ClumpsBlock
 from warmlens.fitting.image_model import ImageModel, Solution
 from warmlens.imaging.psf import Convolution, fwhm
 from warmlens.imaging.shapelets import ShapeletSet
@@ -17,30 +18,20 @@ _SEPARATION = 1.5  # of two clumps, in units of the larger scale
 
 
 def find_clumps(
-    model: ImageModel,
-    solution: Solution,
-    number: int,
-    n_max: int,
-    threshold: float,
-    scale_in_fwhm: float,
-    excluded: BoolArray,
+    model: ImageModel, solution: Solution, clumps: ClumpsBlock, excluded: BoolArray
 ) -> tuple[ShapeletSet, ...]:
-    """Sets for the most significant residual features, traced to the source plane and merged there.
+    """Return sets for the most significant residual features, traced to the source plane and merged there.
 
     Parameters
     ----------
     model, solution
         Smooth model and its best amplitudes.
-    number
-        At most so many clumps (Birrer+2017 sec. 2: 15).
-    n_max
-        Order of each set.
-    threshold
-        Smallest significance of a residual peak, matched to the PSF and added in quadrature over the bands.
-    scale_in_fwhm
-        Scale of a set: this times the FWHM of the PSF over sqrt(magnification), the magnified resolution; at least
-        half the distance of rays in the source along the axis that is magnified least. Near a critical curve the
-        first alone would make a set so small that it fits single pixels with any amplitude.
+    clumps
+        How many at most (Birrer+2017 sec. 2: 15), their order, and `threshold`: the smallest significance of a
+        residual peak, matched to the PSF and added in quadrature over the bands. The scale of a set is
+        `scale_in_fwhm` times the FWHM of the PSF over sqrt(magnification), the magnified resolution; at least half
+        the distance of rays in the source along the axis that is magnified least. Near a critical curve the first
+        alone would make a set so small that it fits single pixels with any amplitude.
     excluded
         Pixels whose peaks are not taken: cores of the quasars [ny, nx]. Those without weight are not taken either.
 
@@ -52,16 +43,16 @@ def find_clumps(
     """
     weighted = np.any([band.weights > 0.0 for band in model.bands], axis=0)
     significance = np.where(excluded | ~weighted, 0.0, residual_significance(model, solution))
-    peaks = (significance == ndimage.maximum_filter(significance, 3)) & (significance > threshold)
+    peaks = (significance == ndimage.maximum_filter(significance, 3)) & (significance > clumps.threshold)
     order = np.argsort(-significance[peaks], kind="stable")
     x, y = (axis[peaks][order] for axis in model.grid.coordinates())
     source, shrinking = _trace(model, solution, x, y)
-    resolution = scale_in_fwhm * fwhm(model.bands[0].psf, model.grid.pixel_scale)
+    resolution = clumps.scale_in_fwhm * fwhm(model.bands[0].psf, model.grid.pixel_scale)
     rays = model.grid.pixel_scale / model.supersampling * shrinking.max(axis=-1)
     scales = np.maximum(resolution * np.sqrt(shrinking.prod(axis=-1)), _SCALE_IN_RAYS * rays)
     kept: list[int] = []
     for i in range(x.size):
-        if len(kept) == number:
+        if len(kept) == clumps.number:
             break
         distance = np.hypot(*(source[:, kept] - source[:, [i]]))
         if np.all(distance > _SEPARATION * np.maximum(scales[kept], scales[i])):
@@ -69,12 +60,13 @@ def find_clumps(
     beta = solution.macro.beta
     relative = (source - solution.center[:, None]) / beta
     return tuple(
-        ShapeletSet(n_max, float(scales[i]) / beta, float(relative[0, i]), float(relative[1, i])) for i in kept
+        ShapeletSet(clumps.n_max, float(scales[i]) / beta, float(relative[0, i]), float(relative[1, i]))
+        for i in kept
     )
 
 
 def residual_significance(model: ImageModel, solution: Solution) -> FloatArray:
-    """Significance of a point-like residual at every pixel, all bands in quadrature [ny, nx]."""
+    """Return the significance of a point-like residual at every pixel, all bands in quadrature [ny, nx]."""
     total = np.zeros(model.grid.shape)
     for band, convolution, solved in zip(model.bands, model.convolutions, solution.bands, strict=True):
         residual = np.zeros(band.weights.size)
@@ -86,7 +78,7 @@ def residual_significance(model: ImageModel, solution: Solution) -> FloatArray:
 
 
 def _trace(model: ImageModel, solution: Solution, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Source positions [2, n] of points on the sky, and by what lengths shrink along two axes there [n, 2]."""
+    """Return source positions [2, n] of points on the sky, and how lengths shrink along two axes there [n, 2]."""
     step = _JACOBIAN_STEP
     offsets = np.array([(0.0, 0.0), (step, 0.0), (-step, 0.0), (0.0, step), (0.0, -step)])
     points_x, points_y = x + offsets[:, :1], y + offsets[:, 1:]

@@ -1,22 +1,21 @@
 """The smooth model as an image of every band, and how it changes with the parameters.
 
-The amplitudes of source, quasars, light and background are those that fit the data best for the given
-parameters (variable projection), so a step costs one linear solve a band. The derivative of the
-image with respect to a parameter p of the lens follows from the gradient of the fitted source S,
+The amplitudes of source, quasars, light and background are those that fit the data best for the given parameters
+(variable projection), so a step costs one linear solve per band. The derivative of the image with respect to a
+parameter p of the lens follows from the gradient of the fitted source S,
 
     dI/dp = -P [ grad S . (d alpha/dp - d alpha_Q/dp) ],
 
 where P is the PSF and alpha_Q the mean deflection of the quasar images: the source basis is centred on the
-quasar and moves with it. What the amplitudes can follow is projected out (Kaufman 1975). The scale of the
-source basis can be free: a fixed one would favour the mass sheet that stretches the source to it.
+quasar and moves with it. What the amplitudes can follow is projected out (Kaufman 1975). The scale of the source
+basis can be free: a fixed one would favour the mass sheet that stretches the source to it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TypeVar
 
 import numpy as np
 from scipy import linalg
@@ -30,13 +29,12 @@ from warmlens.imaging.source_gradient import source_gradient
 from warmlens.lensing.macro_model import deflection, light_images
 from warmlens.types import FloatArray, IntArray
 
-_T = TypeVar("_T")
 _QUASAR_STEP = 1e-3  # arcsec, for derivatives with respect to the position of an image
 
 
 @dataclass(frozen=True)
 class FitBand:
-    """What the fit needs of a band: image and 1/sigma (0 where masked) [ny, nx], and the PSF."""
+    """Image and weights, 1/sigma or 0 where masked [ny, nx], of a band, and its PSF."""
 
     name: str
     image: FloatArray
@@ -50,10 +48,8 @@ class SourceBasis:
 
     Attributes
     ----------
-    n_max
-        Order of the global set.
-    center
-        Fixed centre (x, y) [arcsec]; None puts it at the quasar, the mean of its traced images.
+    n_max, center
+        Order of the global set, and its centre (x, y) [arcsec]; None is the quasar, the mean of its traced images.
     clumps
         Further sets; scales, and centres relative to that of the global set, in units of its scale.
     """
@@ -113,29 +109,23 @@ class BandSolution:
         """|residual|^2."""
         return float(self.residual @ self.residual)
 
-    def unfollowed(self, columns: FloatArray) -> FloatArray:
-        """The part of whitened columns [m, k] that the amplitudes cannot follow."""
+    def project_out(self, columns: FloatArray) -> FloatArray:
+        """Return the part of whitened columns [m, k] that the amplitudes cannot follow."""
         return columns - self.design @ linalg.cho_solve(self.factor, self.design.T @ columns)
 
 
 @dataclass(frozen=True)
 class Solution:
-    """The model at one parameter vector.
+    """The model at one parameter vector: traced to the source plane, and its amplitudes band by band.
 
     Attributes
     ----------
-    vector, macro
-        Parameters, and what they stand for.
     center
-        Centre of the source basis [2].
+        Centre of the source basis [2] [arcsec].
     quasar_sources
         Traced quasar images [n_quasars, 2] [arcsec].
-    sets
-        Source basis.
     source_x, source_y
-        Traced rays [npix, s2].
-    bands
-        One a band.
+        Traced rays [npix, s2] [arcsec].
     """
 
     vector: FloatArray
@@ -164,10 +154,6 @@ class ImageModel:
 
     Attributes
     ----------
-    grid, bands
-        Pixels and data.
-    space
-        Free parameters.
     lens_models, light_models
         lenstronomy's names of the components.
     basis, supersampling, fit_background, ridge
@@ -208,29 +194,20 @@ class ImageModel:
         traced = macro.quasars - self._deflection(macro, *macro.quasars.T).T
         center = np.asarray(self.basis.center if self.basis.center is not None else traced.mean(axis=0))
         sets = self.basis.sets(center, macro.beta)
-        source_columns = pixel_basis(sets, source_x, source_y)
+        source = pixel_basis(sets, source_x, source_y)
         light = self._light(macro, range(len(self.light_models)))
-        bands = tuple(
-            self._solve_band(band, convolution, source_columns, light, macro.quasars)
-            for band, convolution in zip(self.bands, self.convolutions, strict=True)
-        )
+        bands = tuple(self._solve_band(i, source, light, macro.quasars) for i in range(len(self.bands)))
         return Solution(np.array(vector), macro, center, traced, sets, source_x, source_y, bands)
 
-    def _solve_band(
-        self,
-        band: FitBand,
-        convolution: Convolution,
-        source_columns: FloatArray,
-        light: FloatArray,
-        quasars: FloatArray,
-    ) -> BandSolution:
+    def _solve_band(self, i: int, source: FloatArray, light: FloatArray, quasars: FloatArray) -> BandSolution:
+        band, convolution = self.bands[i], self.convolutions[i]
         images = [point_source(band.psf, self.grid, x, y) for x, y in quasars]
         images += list(convolution.forward(light))
         images += [np.ones(self.grid.shape)] * self.fit_background
         fixed = np.array(images).reshape(len(images), *self.grid.shape)
         columns = fixed.reshape(len(images), band.image.size).T
         pixels = np.flatnonzero(band.weights)
-        design, norms = whitened_design(source_columns, columns, convolution, band.weights, pixels)
+        design, norms = whitened_design(source, columns, convolution, band.weights, pixels)
         normal = design.T @ design
         normal[np.diag_indices_from(normal)] += self.ridge
         factor = (cholesky_factor(normal, self.ridge), True)
@@ -239,22 +216,22 @@ class ImageModel:
         return BandSolution(pixels, design, factor, scaled / norms, data - design @ scaled, fixed)
 
     def residuals(self, solution: Solution) -> FloatArray:
-        """What the fit minimises the square of: image residuals, the quasars' tie and the priors."""
+        """Return what the fit minimises the square of: image residuals, the quasars' tie and the priors."""
         parts = [band.residual / self.temperature for band in solution.bands]
         tie = _about_mean(solution.quasar_sources) / self.tie_arcsec
         return np.concatenate([*parts, tie.ravel(), (solution.vector - self.space.start) / self.space.prior_sigma])
 
     def jacobian(self, solution: Solution) -> FloatArray:
-        """Derivative of `residuals`, [n_residual, n_parameter]."""
+        """Return the derivative of `residuals` [n_residual, n_parameter]."""
         images, traced = self.derivatives(solution)
         rows = [
-            -band.unfollowed(model.weights.reshape(-1, 1)[band.pixels] * image[band.pixels]) / self.temperature
+            -band.project_out(model.weights.reshape(-1, 1)[band.pixels] * image[band.pixels]) / self.temperature
             for band, model, image in zip(solution.bands, self.bands, images, strict=True)
         ]
         return np.vstack([*rows, self.prior_jacobian(traced)])
 
     def prior_jacobian(self, traced: FloatArray) -> FloatArray:
-        """Rows of `jacobian` that hold no image: the quasars' tie and the priors [n_rows, n_parameter].
+        """Return the rows of `jacobian` that hold no image: the quasars' tie and the priors [n_rows, n_parameter].
 
         `traced` is the derivative of the quasars' source points [n_quasars, 2, n_parameter].
         """
@@ -262,14 +239,9 @@ class ImageModel:
         return np.vstack([tie.reshape(-1, traced.shape[2]), np.diag(1.0 / self.space.prior_sigma)])
 
     def derivatives(self, solution: Solution) -> tuple[list[FloatArray], FloatArray]:
-        """Derivatives at fixed amplitudes.
+        """Return derivatives at fixed amplitudes, per unit of each parameter.
 
-        Returns
-        -------
-        images
-            Of each band's image [npix, n_parameter], per unit of the parameter.
-        traced
-            Of the quasars' source points [n_quasars, 2, n_parameter].
+        Of each band's image [npix, n_parameter], and of the quasars' source points [n_quasars, 2, n_parameter].
         """
         parameters = self.space.parameters
         gradients = [
@@ -293,24 +265,22 @@ class ImageModel:
             if self.basis.center is None:  # the source basis follows the quasar
                 source_shift -= traced[:, :, j].mean(axis=0)[:, None, None]
             lights = self._lights_of(parameter)
-            light = self._light_derivative(solution.vector, j, lights)
-            for band, solved, convolution, gradient, image in zip(
-                self.bands, solution.bands, self.convolutions, gradients, images, strict=True
-            ):
+            up, down = (self._light(macro, lights) for macro in self._macros_beside(solution.vector, j))
+            light = (up - down) / (2.0 * parameter.step)
+            for i, (solved, gradient, image) in enumerate(zip(solution.bands, gradients, images, strict=True)):
                 change = np.sum(np.array(gradient) * source_shift, axis=0).mean(axis=-1).reshape(self.grid.shape)
-                n_quasars = len(solution.macro.quasars)
                 for component, derivative in zip(lights, light, strict=True):
-                    change += solved.fixed_amplitudes[n_quasars + component] * derivative
-                image[:, j] = convolution.forward(change).ravel()
+                    change += solved.fixed_amplitudes[len(solution.macro.quasars) + component] * derivative
+                image[:, j] = self.convolutions[i].forward(change).ravel()
                 if parameter.kind == "quasar":
-                    amplitude = solved.fixed_amplitudes[parameter.component]
-                    image[:, j] += amplitude * self._point_derivative(solution, parameter, band.psf).ravel()
+                    point = self._point_derivative(solution, parameter, self.bands[i].psf)
+                    image[:, j] += solved.fixed_amplitudes[parameter.component] * point.ravel()
         return images, traced
 
     def _deflection(self, macro: Macro, x: FloatArray, y: FloatArray) -> FloatArray:
         return deflection(self.lens_models, macro.kwargs_lens, x, y)
 
-    def _light(self, macro: Macro, components: range | list[int]) -> FloatArray:
+    def _light(self, macro: Macro, components: Sequence[int]) -> FloatArray:
         """Light per pixel for amplitude 1, before the PSF [component, ny, nx]."""
         names = [self.light_models[i] for i in components]
         kwargs = [macro.kwargs_light[i] for i in components]
@@ -319,13 +289,10 @@ class ImageModel:
     @cached_property
     def _unit_deflections(self) -> dict[int, FloatArray]:
         """Deflection of each potential shapelet for coefficient 1: the same in every step."""
-        return {
-            j: self._one_shapelet(item, *self._rays)
-            for j, item in enumerate(self.space.parameters)
-            if item.key == "coeffs"
-        }
+        parameters = enumerate(self.space.parameters)
+        return {j: self._unit_deflection(p, *self._rays) for j, p in parameters if p.key == "coeffs"}
 
-    def _one_shapelet(self, parameter: Parameter, x: FloatArray, y: FloatArray) -> FloatArray:
+    def _unit_deflection(self, parameter: Parameter, x: FloatArray, y: FloatArray) -> FloatArray:
         kwargs = dict(self.space.base.kwargs_lens[parameter.component])
         kwargs["coeffs"] = [float(i == parameter.element) for i in range(len(kwargs["coeffs"]))]
         return deflection([self.lens_models[parameter.component]], [kwargs], x, y)
@@ -335,16 +302,14 @@ class ImageModel:
         parameter = self.space.parameters[j]
         quasars = solution.macro.quasars.T
         if parameter.key == "coeffs":
-            return self._unit_deflections[j], self._one_shapelet(parameter, *quasars)
+            return self._unit_deflections[j], self._unit_deflection(parameter, *quasars)
         name = [self.lens_models[parameter.component]]
-
-        def both(macro: Macro) -> tuple[FloatArray, FloatArray]:
-            kwargs = [macro.kwargs_lens[parameter.component]]
-            return deflection(name, kwargs, *self._rays), deflection(name, kwargs, *quasars)
-
-        (up, up_quasars), (down, down_quasars) = self._both_sides(solution.vector, j, both)
-        step = 2.0 * parameter.step
-        return (up - down) / step, (up_quasars - down_quasars) / step
+        up, down = (
+            [deflection(name, [macro.kwargs_lens[parameter.component]], *xy) for xy in (self._rays, quasars)]
+            for macro in self._macros_beside(solution.vector, j)
+        )
+        at_rays, at_quasars = ((a - b) / (2.0 * parameter.step) for a, b in zip(up, down, strict=True))
+        return at_rays, at_quasars
 
     def _lights_of(self, parameter: Parameter) -> list[int]:
         """Light components that a parameter shapes."""
@@ -354,17 +319,12 @@ class ImageModel:
             return [light for lens, light in self.space.satellites if lens == parameter.component]
         return []
 
-    def _light_derivative(self, vector: FloatArray, j: int, components: list[int]) -> FloatArray:
-        up, down = self._both_sides(vector, j, lambda macro: self._light(macro, components))
-        return (up - down) / (2.0 * self.space.parameters[j].step)
-
-    def _both_sides(self, vector: FloatArray, j: int, function: Callable[[Macro], _T]) -> tuple[_T, _T]:
-        sides = []
-        for sign in (1.0, -1.0):
-            moved = vector.copy()
-            moved[j] += sign * self.space.parameters[j].step
-            sides.append(function(self.space.macro(moved)))
-        return sides[0], sides[1]
+    def _macros_beside(self, vector: FloatArray, j: int) -> tuple[Macro, Macro]:
+        """Models one step of parameter j above a vector and one below."""
+        above, below = vector.copy(), vector.copy()
+        above[j] += self.space.parameters[j].step
+        below[j] -= self.space.parameters[j].step
+        return self.space.macro(above), self.space.macro(below)
 
     def _traced_derivative(self, solution: Solution, parameter: Parameter) -> FloatArray:
         """d beta / d theta of one quasar image, zero for the others [n_quasars, 2]."""

@@ -2,7 +2,7 @@
 
 J(x) = |d - A x|^2 + x.Lambda x, with A = W P B (docs/scan.md), its columns scaled to unit norm, and a diagonal
 Gaussian prior Lambda: a weak ridge, or what is known of a column's amplitude. A does not depend on the data, so
-its factorisation is made once and every image after that costs matrix products.
+it is factorised once and every image after that costs matrix products.
 """
 
 from __future__ import annotations
@@ -91,12 +91,7 @@ def build_linear_model(
         Prior weight (`smooth_model.ridge`), > 0; small against 1, the norm of a column.
     fixed_sigma
         Standard deviation of the Gaussian prior on the amplitude of each fixed column, as the column is
-        given [n_fixed], > 0, beside the ridge; infinite (or None for all) where there is the ridge alone.
-
-    Returns
-    -------
-    LinearModel
-        The same for every image that shares deflection, source basis, PSF and weights.
+        given [n_fixed], > 0, in addition to the ridge; infinite (or None for all) where there is the ridge alone.
     """
     ny, nx = convolution.shape
     npix, n_source = source_columns.shape
@@ -135,19 +130,9 @@ def whitened_design(
     weights: FloatArray,
     rows: IntArray | slice,
 ) -> tuple[FloatArray, FloatArray]:
-    """Design matrix A = W P B with columns of unit norm, and the norms before scaling.
+    """Return A = W P B with columns of unit norm [n_rows, n], and the norms before scaling [n].
 
-    Parameters
-    ----------
-    source_columns, fixed_columns, convolution, weights
-        As in `build_linear_model`.
-    rows
-        Which flat pixels to keep: all, or the unmasked ones.
-
-    Returns
-    -------
-    tuple
-        A [n_rows, n] and norms [n].
+    `rows` are the flat pixels to keep: all, or the unmasked ones; the other arguments as in `build_linear_model`.
     """
     ny, nx = convolution.shape
     npix, n_source = source_columns.shape
@@ -165,7 +150,7 @@ def whitened_design(
 
 
 def cholesky_factor(normal: FloatArray, ridge: float) -> FloatArray:
-    """Lower Cholesky factor L of the normal matrix of unit-norm columns [n, n], which is overwritten.
+    """Return the lower Cholesky factor L of the normal matrix of unit-norm columns [n, n], which is overwritten.
 
     Raises
     ------
@@ -207,15 +192,9 @@ def _describe(column: int, n_source: int) -> str:
 
 
 def solve(model: LinearModel, whitened: FloatArray) -> LinearFit:
-    """Best fit of each image, by matrix products with the factorisation.
+    """Fit each whitened image d = image * weights, flattened row-major [npix, k].
 
-    Parameters
-    ----------
-    model
-        See `build_linear_model`.
-    whitened
-        d = image * weights, flattened row-major [npix, k]. What is not among the columns has to be
-        subtracted before.
+    What is not among the columns has to be subtracted before.
     """
     projected = model.inverse_factor @ (model.design.T @ whitened)
     coefficients = model.inverse_factor.T @ projected  # x = (A^T A + Lambda)^-1 A^T d
@@ -226,5 +205,5 @@ def solve(model: LinearModel, whitened: FloatArray) -> LinearFit:
 
 
 def physical_coefficients(model: LinearModel, coefficients: FloatArray) -> FloatArray:
-    """Coefficients [n, k] of the columns as given to `build_linear_model`, from unit-norm ones [n, k]."""
+    """Return coefficients [n, k] of the columns as given to `build_linear_model`, from unit-norm ones [n, k]."""
     return coefficients / model.column_norms[:, None]

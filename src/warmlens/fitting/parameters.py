@@ -22,7 +22,7 @@ class Macro:
     Attributes
     ----------
     kwargs_lens, kwargs_light
-        One mapping a lens model and a light model; of light without `amp`.
+        One mapping per lens model and per light model; of light without `amp`.
     quasars
         Image positions (x, y) [n, 2] [arcsec].
     beta
@@ -89,7 +89,7 @@ class ParameterSpace:
     Attributes
     ----------
     base
-        Model that holds the values of whatever is not free.
+        Model that holds all values that are not free.
     parameters
         In the order of every parameter vector [n].
     satellites
@@ -103,51 +103,44 @@ class ParameterSpace:
     @property
     def names(self) -> tuple[str, ...]:
         """Names in the order of the vector."""
-        return tuple(item.name for item in self.parameters)
+        return tuple(p.name for p in self.parameters)
 
     @property
     def start(self) -> FloatArray:
         """First values [n]."""
-        return np.array([item.start for item in self.parameters])
+        return np.array([p.start for p in self.parameters])
 
     @property
     def limits(self) -> tuple[FloatArray, FloatArray]:
         """Lower and upper limits, each [n]."""
-        return (
-            np.array([item.lower for item in self.parameters]),
-            np.array([item.upper for item in self.parameters]),
-        )
+        return np.array([p.lower for p in self.parameters]), np.array([p.upper for p in self.parameters])
 
     @property
     def prior_sigma(self) -> FloatArray:
         """Widths of the Gaussian priors about the first values, inf for none [n]."""
-        return np.array([item.sigma for item in self.parameters])
+        return np.array([p.sigma for p in self.parameters])
 
     def macro(self, vector: FloatArray) -> Macro:
-        """Model of a parameter vector [n]."""
+        """Return the model of a parameter vector [n]."""
         lens = copy.deepcopy(self.base.kwargs_lens)
         light = copy.deepcopy(self.base.kwargs_light)
         quasars, beta = self.base.quasars.copy(), self.base.beta
-        for item, value in zip(self.parameters, vector, strict=True):
-            if item.kind == "quasar":
-                quasars[item.component, item.element] = value
-            elif item.kind == "source":
+        for p, value in zip(self.parameters, vector, strict=True):
+            if p.kind == "quasar":
+                quasars[p.component, p.element] = value
+            elif p.kind == "source":
                 beta = float(value)
-            elif item.element is not None:
-                lens[item.component][item.key][item.element] = float(value)
+            elif p.element is not None:
+                lens[p.component][p.key][p.element] = float(value)
             else:
-                (lens if item.kind == "lens" else light)[item.component][item.key] = float(value)
+                (lens if p.kind == "lens" else light)[p.component][p.key] = float(value)
         for of_lens, of_light in self.satellites:
             for key in ("center_x", "center_y"):
                 light[of_light][key] = lens[of_lens][key]
         return Macro(lens, light, quasars, beta)
 
-    def index(self, name: str) -> int:
-        """Place of a parameter in the vector."""
-        return self.names.index(name)
-
     def at_limit(self, vector: FloatArray) -> BoolArray:
-        """Which parameters lie within 1e-3 of their range of a limit [n]."""
+        """Whether each parameter lies within 1e-3 of its range of a limit [n]."""
         lower, upper = self.limits
         return np.minimum(vector - lower, upper - vector) < 1e-3 * (upper - lower)
 
@@ -157,23 +150,21 @@ def free_parameters(
     models: Sequence[Mapping[str, Any]],
     free: Sequence[Mapping[str, tuple[float, float, float | None]]],
 ) -> list[Parameter]:
-    """Parameters that the configuration sets free.
+    """Return the parameters that the configuration sets free.
 
     Parameters
     ----------
-    kind
-        Lens or light.
     models
         kwargs of each component: the first values.
     free
-        A mapping a component: name to (lower, upper, prior sigma or None).
+        One mapping per component: name to (lower, upper, prior sigma or None).
 
     Raises
     ------
     ValueError
         If a name is not among the component's kwargs.
     """
-    out = []
+    parameters = []
     for component, (kwargs, ranges) in enumerate(zip(models, free, strict=True)):
         for key, (lower, upper, sigma) in ranges.items():
             if key not in kwargs or not isinstance(kwargs[key], int | float):
@@ -182,8 +173,8 @@ def free_parameters(
                     f"it has {', '.join(kwargs)}"
                 )
             start = float(kwargs[key])
-            out.append(Parameter(kind, component, key, None, start, lower, upper, sigma or math.inf))
-    return out
+            parameters.append(Parameter(kind, component, key, None, start, lower, upper, sigma or math.inf))
+    return parameters
 
 
 def quasar_parameters(positions: FloatArray, sigma: float) -> list[Parameter]:

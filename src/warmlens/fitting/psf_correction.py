@@ -1,7 +1,7 @@
-"""Improving the PSF on the quasar images of the lens itself.
+"""Correction of the PSF on the quasar images of the lens itself.
 
 A PSF made elsewhere is wrong by per cents in its core, and its faint wings carry the noise of the star that it was
-made of; beside images a thousand times brighter than the arcs both exceed the noise. About the images the source
+made of; near images a thousand times brighter than the arcs both exceed the noise. About the images the source
 can follow part of the misfit, so the correction is solved for together with all other amplitudes of the model:
 every pixel of the kernel within a radius is one more linear column, shared by the images, with a Gaussian prior
 relative to the PSF.
@@ -41,7 +41,7 @@ class PsfError:
     sigma: FloatArray
 
     def variance(self, grid: PixelGrid, quasars: FloatArray, fluxes: FloatArray) -> FloatArray:
-        """Variance [ny, nx] about images at positions [n, 2] with fluxes [n], in flux squared."""
+        """Return the variance [ny, nx] about images at positions [n, 2] with fluxes [n], in flux squared."""
         x, y = grid.coordinates()
         distance = np.hypot(x - quasars[:, 0, None, None], y - quasars[:, 1, None, None])
         table = np.append(self.sigma, 0.0)
@@ -57,17 +57,10 @@ def kernel_radius(psf: FloatArray, pixel_scale: float) -> FloatArray:
 
 
 def smooth_wings(psf: FloatArray, pixel_scale: float, inner: float, outer: float) -> FloatArray:
-    """The PSF with the pixel noise taken out of its wings; sum 1.
+    """Take the pixel noise out of the wings of a PSF [odd, odd]; sum 1.
 
-    Parameters
-    ----------
-    psf
-        Kernel [odd, odd].
-    pixel_scale
-        [arcsec].
-    inner, outer
-        The wings are blended in between these radii [arcsec]: the mean profile of rings plus the rest blurred
-        by three pixels, which keeps spikes and drops noise.
+    The wings are blended in between the radii `inner` and `outer` [arcsec]: the mean profile of rings plus the
+    rest blurred by three pixels, which keeps spikes and drops noise.
     """
     radius = kernel_radius(psf, pixel_scale)
     edges = np.concatenate([np.arange(0.0, 1.0, pixel_scale), np.arange(1.0, radius.max() + 0.2, 0.2)])
@@ -86,23 +79,10 @@ def smooth_wings(psf: FloatArray, pixel_scale: float, inner: float, outer: float
 def corrected_psf(
     model: ImageModel, solution: Solution, number: int, radius: float, relative_sigma: float
 ) -> FloatArray:
-    """PSF of one band, corrected on the quasar images.
+    """Return the PSF of band `number`, corrected on the quasar images; sum 1.
 
-    Parameters
-    ----------
-    model, solution
-        Model and its best amplitudes with the PSF so far.
-    number
-        Which band.
-    radius
-        The kernel is corrected within [arcsec].
-    relative_sigma
-        Prior of each pixel's correction, as a fraction of the PSF there.
-
-    Returns
-    -------
-    FloatArray
-        Kernel of sum 1.
+    The kernel is corrected within `radius` [arcsec]; `relative_sigma` is the width of the prior on each pixel's
+    correction, as a fraction of the PSF there.
     """
     band, solved = model.bands[number], solution.bands[number]
     quasars = solution.macro.quasars
@@ -117,9 +97,9 @@ def corrected_psf(
     normal[np.arange(n), np.arange(n)] += model.ridge
     normal[n:, n:] += np.eye(len(prior)) + np.outer(prior, prior) / _FLUX_SIGMA**2
     data = (band.weights * band.image).ravel()[solved.pixels]
-    found = linalg.solve(normal, design.T @ data, assume_a="pos")
+    amplitudes = linalg.solve(normal, design.T @ data, assume_a="pos")
     psf = band.psf.copy()
-    psf[inside] += found[n:] * prior
+    psf[inside] += amplitudes[n:] * prior
     return psf / psf.sum()
 
 
@@ -128,25 +108,18 @@ def _correction_columns(grid: PixelGrid, quasars: FloatArray, fluxes: FloatArray
     rows, columns = np.argwhere(inside).T - inside.shape[0] // 2
     reach = int(max(np.abs(rows).max(), np.abs(columns).max()))
     delta = np.ones((1, 1))
-    out = np.zeros((rows.size, *grid.shape))
+    images = np.zeros((rows.size, *grid.shape))
     for (x, y), flux in zip(quasars, fluxes, strict=True):
         points = np.pad(point_source(delta, grid, x, y), reach)
         shifted = sliding_window_view(points, grid.shape)
-        out += flux * shifted[reach - rows, reach - columns]
-    return out.reshape(rows.size, -1)
+        images += flux * shifted[reach - rows, reach - columns]
+    return images.reshape(rows.size, -1)
 
 
 def psf_error(model: ImageModel, solution: Solution, number: int, sigma: FloatArray, radius: float) -> PsfError:
-    """Error that is left in the PSF of one band, from what the quasar images leave over the noise.
+    """Measure the error left in the PSF of band `number` from what the quasar images leave over the noise.
 
-    Parameters
-    ----------
-    model, solution, number
-        Model, its best amplitudes, and which band.
-    sigma
-        Noise without the PSF's error [ny, nx].
-    radius
-        Largest distance from an image [arcsec].
+    `sigma` is the noise without the PSF's error [ny, nx], `radius` the largest distance from an image [arcsec].
 
     Notes
     -----

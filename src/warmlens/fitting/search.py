@@ -9,32 +9,29 @@ from contextlib import contextmanager
 import numpy as np
 
 from warmlens.fitting.image_model import ImageModel
-from warmlens.types import FloatArray
+from warmlens.types import BoolArray, FloatArray
 
 log = logging.getLogger(__name__)
 
 
 def particle_swarm(
-    model: ImageModel, particles: int, iterations: int, searched: FloatArray, rng: np.random.Generator
+    model: ImageModel, particles: int, iterations: int, searched: BoolArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Best parameter vector [n] that a swarm finds within the limits.
+    """Return the best parameter vector [n] that a swarm finds within the limits.
 
     Parameters
     ----------
     model
         Data, free parameters and a small source basis: every particle costs a linear solve.
-    particles, iterations
-        Size of the swarm and number of its moves.
     searched
         Which parameters take part [n]; the others stay at their start.
-    rng
-        Random numbers.
 
     Notes
     -----
     The swarm is lenstronomy's (Kennedy & Eberhart 2001; Birrer et al. 2015). Its first best particle is the start
     of the configuration, so that the result is never worse than that.
     """
+    # lenstronomy takes a second to import: only where a swarm is asked for
     from lenstronomy.Sampling.Samplers.pso import ParticleSwarmOptimizer
 
     start = model.space.start
@@ -47,7 +44,7 @@ def particle_swarm(
         vector[searched] = values
         try:
             residuals = model.residuals(model.solve(vector))
-        except ValueError as error:  # a lens so wild that no light of the source reaches the image
+        except ValueError as error:  # no light of the source reaches the image through this lens
             log.debug("particle refused: %s", error)
             return -np.inf
         return -0.5 * float(residuals @ residuals)

@@ -1,37 +1,24 @@
-"""The finished smooth model of one band: amplitudes, image, noise and how well it fits."""
+"""The finished smooth model: amplitudes, image and noise of each band, and the rays of the lens."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from warmlens.fitting.image_model import ImageModel, Solution
-from warmlens.fitting.linear import LinearModel, build_linear_model
+from warmlens.fitting.lens_fit import LensFit
+from warmlens.fitting.variable_projection import prior_axes
+from warmlens.imaging.observation import Band, Observation
 from warmlens.imaging.psf import Convolution
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
+from warmlens.lensing.macro_model import deflection
 from warmlens.lensing.rays import SmoothRays
 from warmlens.types import BoolArray, FloatArray
 
-
-@dataclass(frozen=True)
-class FixedColumns:
-    """Columns of the model that a perturber does not move, already blurred.
-
-    Attributes
-    ----------
-    names
-        One a column: quasar_0.., light_0.., background.
-    images
-        [npix, n_fixed], for amplitude 1.
-    n_quasars
-        The leading columns are the quasar images.
-    """
-
-    names: tuple[str, ...]
-    images: FloatArray
-    n_quasars: int
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -87,33 +74,106 @@ class BandFit:
         return self.chi2_noise_only / (self.n_pixels_outside_cores - self.n_columns)
 
 
-def linear_model(
-    sets: Sequence[ShapeletSet],
-    rays: SmoothRays,
-    fixed: FixedColumns,
-    convolution: Convolution,
-    weights: FloatArray,
-    ridge: float,
-    fixed_sigma: FloatArray | None = None,
-) -> LinearModel:
-    """Whitened design of one band: source shapelets along the smooth rays, then the fixed columns."""
-    source = pixel_basis(sets, rays.source_x, rays.source_y)
-    return build_linear_model(source, fixed.images, convolution, weights, ridge, fixed_sigma)
+@dataclass(frozen=True)
+class SmoothModel:
+    """What the campaign reads of the smooth model; dicts are by band.
+
+    Attributes
+    ----------
+    deflection
+        At the pixel centres [2, ny, nx] [arcsec].
+    rays
+        Sub-pixels on the sky and in the source plane.
+    sets, supersampling, ridge
+        Source basis, sub-pixels per pixel and axis, and prior of the linear fit.
+    names, fixed
+        Names and blurred images [npix, n_fixed] of the columns that no perturber moves: quasars first.
+    lens_models, kwargs_lens
+        The lens in lenstronomy's names.
+    quasars
+        Positions of the quasar images [n_quasars, 2] [arcsec].
+    macro
+        Change of the image when the fitted parameters move along the axes of their errors, by one sigma each
+        [npix, n_axes]; none for a given lens, whose errors are not known.
+    macro_sigma
+        Width of the fit's own prior along each axis, in units of that sigma [n_axes], >= 1.
+    """
+
+    deflection: FloatArray
+    rays: SmoothRays
+    sets: tuple[ShapeletSet, ...]
+    supersampling: int
+    ridge: float
+    names: tuple[str, ...]
+    fixed: dict[str, FloatArray]
+    fits: dict[str, BandFit]
+    lens_models: tuple[str, ...]
+    kwargs_lens: tuple[dict[str, Any], ...]
+    quasars: FloatArray
+    macro: dict[str, FloatArray]
+    macro_sigma: FloatArray
+
+    @property
+    def n_quasars(self) -> int:
+        """Number of quasar images."""
+        return len(self.quasars)
+
+
+def finished_model(fitted: LensFit) -> SmoothModel:
+    """Smooth model of a fit, as the campaign reads it."""
+    model, solution, grid = fitted.model, fitted.solution, fitted.model.grid
+    bands = [band.name for band in model.bands]
+    fits = {
+        name: band_fit(model, solution, i, noise, fitted.outside_cores)
+        for i, (name, noise) in enumerate(zip(bands, fitted.noise, strict=True))
+    }
+    for name, fit in fits.items():
+        log.info(
+            "%s: chi2_red %.3f, without the quasars' cores %.3f, with the noise alone %.3f",
+            name, fit.chi2_red, fit.chi2_red_outside_cores, fit.chi2_red_noise_only,
+        )  # fmt: skip
+    macro, macro_sigma = _macro_columns(model, solution)
+    quasars = solution.macro.quasars
+    names = [f"quasar_{i}" for i in range(len(quasars))] + [f"light_{i}" for i in range(len(model.light_models))]
+    names += ["background"] * model.fit_background
+    return SmoothModel(
+        deflection=deflection(model.lens_models, solution.macro.kwargs_lens, *grid.coordinates()),
+        rays=SmoothRays(*grid.subpixel_coordinates(model.supersampling), solution.source_x, solution.source_y),
+        sets=solution.sets,
+        supersampling=model.supersampling,
+        ridge=model.ridge,
+        names=tuple(names),
+        fixed={
+            name: np.ascontiguousarray(solved.fixed.reshape(len(names), grid.ny * grid.nx).T)
+            for name, solved in zip(bands, solution.bands, strict=True)
+        },
+        fits=fits,
+        lens_models=model.lens_models,
+        kwargs_lens=solution.macro.kwargs_lens,
+        quasars=quasars,
+        macro=dict(zip(bands, macro, strict=True)),
+        macro_sigma=macro_sigma,
+    )
+
+
+def _macro_columns(model: ImageModel, solution: Solution) -> tuple[list[FloatArray], FloatArray]:
+    """Change of each band's image along the axes of the fit's errors [npix, n], and widths of their priors [n].
+
+    With them as columns, a linear fit repeats the fit of all parameters to first order.
+    """
+    if not model.space.parameters:
+        return [np.empty((model.grid.ny * model.grid.nx, 0)) for _ in model.bands], np.empty(0)
+    axes, sigma = prior_axes(model, solution)
+    images, _ = model.derivatives(solution)
+    return [image @ axes for image in images], sigma
 
 
 def band_fit(
     model: ImageModel, solution: Solution, number: int, noise_sigma: FloatArray, outside_cores: BoolArray
 ) -> BandFit:
-    """What the campaign needs of one band of a solved model.
+    """Return what the campaign needs of band `number` of a solved model.
 
-    Parameters
-    ----------
-    model, solution, number
-        Model, its best amplitudes, and which band.
-    noise_sigma
-        Noise of the observation alone [ny, nx].
-    outside_cores
-        Pixels that are not in the core of a quasar image [ny, nx].
+    `noise_sigma` is the noise of the observation alone, `outside_cores` the pixels beyond the quasars [ny, nx].
 
     Raises
     ------
@@ -122,7 +182,6 @@ def band_fit(
     """
     band, solved = model.bands[number], solution.bands[number]
     shape = model.grid.shape
-    used = band.weights > 0.0
     n_columns = solved.amplitudes.size
     outside = outside_cores.ravel()[solved.pixels]
     if np.count_nonzero(outside) <= n_columns:
@@ -145,9 +204,18 @@ def band_fit(
         sigma=sigma.reshape(shape),
         psf=band.psf,
         chi2=solved.chi2,
-        n_pixels=int(used.sum()),
+        n_pixels=solved.pixels.size,
         chi2_outside_cores=float(np.sum(solved.residual[outside] ** 2)),
         n_pixels_outside_cores=int(outside.sum()),
         chi2_noise_only=float(np.sum((residual / noise)[outside] ** 2)),
         n_columns=n_columns,
     )
+
+
+def scan_band(observation: Observation, model: SmoothModel, name: str) -> tuple[Band, Convolution]:
+    """Return band `name` with the noise, the mask and the PSF of the smooth model, and its convolution."""
+    band = next(band for band in observation.bands if band.name == name)
+    fit = model.fits[name]
+    used = band.mask & np.isfinite(fit.sigma)
+    convolution = Convolution(fit.psf, observation.grid.shape)
+    return replace(band, sigma=fit.sigma, mask=used, psf=fit.psf), convolution

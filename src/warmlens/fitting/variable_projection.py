@@ -17,19 +17,7 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a fit ended.
-
-    Attributes
-    ----------
-    solution
-        Model at the best parameters.
-    converged
-        False if the steps ran out before chi2 stood still.
-    steps
-        Evaluations of the model.
-    message
-        What ended the fit.
-    """
+    """How a fit ended; `converged` is False if its steps, evaluations of the model, ran out before."""
 
     solution: Solution
     converged: bool
@@ -38,20 +26,10 @@ class Outcome:
 
 
 def fit_parameters(model: ImageModel, start: FloatArray, max_steps: int, tolerance: float, label: str) -> Outcome:
-    """Minimise |residuals|^2 from a start.
+    """Minimise |residuals|^2 from a parameter vector [n], by at most `max_steps` evaluations of the model.
 
-    Parameters
-    ----------
-    model
-        Data, free parameters and source basis.
-    start
-        Parameter vector [n] inside the limits.
-    max_steps
-        Evaluations of the model allowed.
-    tolerance
-        The fit has converged when a step lowers the cost by less than this fraction.
-    label
-        Name of the fit in the log.
+    The fit has converged when a step lowers the cost by less than the fraction `tolerance`; `label` names it in
+    the log.
 
     Notes
     -----
@@ -79,27 +57,27 @@ def fit_parameters(model: ImageModel, start: FloatArray, max_steps: int, toleran
 
     lower, upper = model.space.limits
     inside = np.clip(start, lower + 1e-6 * (upper - lower), upper - 1e-6 * (upper - lower))
-    found = optimize.least_squares(
+    best = optimize.least_squares(
         residuals, inside, jacobian, (lower, upper), x_scale="jac",
         ftol=tolerance, xtol=1e-7, gtol=1e-10, max_nfev=max_steps,
     )  # fmt: skip
-    solution = latest[0] if np.array_equal(latest[0].vector, found.x) else model.solve(found.x)
-    return Outcome(solution, found.status > 0, count, str(found.message))
+    solution = latest[0] if np.array_equal(latest[0].vector, best.x) else model.solve(best.x)
+    return Outcome(solution, best.status > 0, count, str(best.message))
 
 
 def tempered(model: ImageModel, start: FloatArray) -> ImageModel:
-    """The model with its residuals divided by their size at `start`, if that is above the noise."""
+    """Return the model with its residuals divided by their size at `start`, if that is above the noise."""
     solution = model.solve(start)
     return replace(model, temperature=max(1.0, float(np.sqrt(solution.chi2 / solution.n_pixels))))
 
 
 def prior_axes(model: ImageModel, solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Axes along which both the errors of the fit and its prior are independent.
+    """Return axes along which both the errors of the fit and its prior are independent.
 
     Returns
     -------
     axes
-        V [n, n], one a column: steps of the parameters by one sigma of the fit, V^T C^-1 V = 1.
+        V [n, n], one per column: steps of the parameters by one sigma of the fit, V^T C^-1 V = 1.
     prior_sigma
         Width of the prior (limits of the parameters apart, the quasars' tie included) along each, in units of
         that sigma [n], >= 1; infinite where there is none.
@@ -117,7 +95,7 @@ def prior_axes(model: ImageModel, solution: Solution) -> tuple[FloatArray, Float
 
 
 def covariance(model: ImageModel, solution: Solution) -> FloatArray:
-    """Covariance of the parameters [n, n] from the curvature at the best fit, priors included.
+    """Return the covariance of the parameters [n, n] from the curvature at the best fit, priors included.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Reading one band of a user's FITS files."""
+"""Reading the bands of an observation from a user's FITS files."""
 
 from __future__ import annotations
 
@@ -34,57 +34,66 @@ def read_band(name: str, block: FitsBandBlock) -> tuple[PixelGrid, Band]:
         Naming the file or key, what was found, what was expected and what to do.
     """
     try:
-        return _read_band(name, block)
+        paths = input_files(block)
+        science = paths.pop("science")
+        image, header = read_image(science, block.extension, MAX_SIDE)
+        maps = {key: read_image(path, 0, MAX_SIDE)[0] for key, path in paths.items()}
+        _check_units(science, header, block.units)
+        grid = _pixel_grid(science, header, image.shape, block)
+        if "sigma" in maps or "weight" in maps:
+            noise, sigma = NoiseModel(None, None), _sigma_map(maps)
+        else:
+            noise = NoiseModel(
+                background_rms=_header_number(science, header, block.background_rms, "BKGRMS", "background_rms"),
+                exposure_s=_header_number(science, header, block.exposure_s, "EXPTIME", "exposure_s"),
+            )
+            sigma = noise.sigma(image)
+        band = checked_band(name, grid, image, sigma, _mask(image, maps, block), maps["psf"], noise)
+        correlation = _noise_correlation(grid, band, maps, block)
+        return grid, replace(band, noise=replace(noise, correlation=correlation))
     except ConfigError:
         raise
     except ValueError as error:
         raise ConfigError([str(error)]) from error
 
 
-def _read_band(name: str, block: FitsBandBlock) -> tuple[PixelGrid, Band]:
-    path = expand_path(block.science)
-    image, header = read_image(path, block.extension, MAX_SIDE)
-    _check_units(path, header, block.units)
-    grid = _pixel_grid(path, header, image.shape, block)
-    psf, _ = read_image(expand_path(block.psf), 0, MAX_SIDE)
+def input_files(block: FitsBandBlock) -> dict[str, Path]:
+    """Paths of the files that a band is read from, by the name of their key."""
+    return {key: expand_path(getattr(block, key)) for key in FITS_FILES if getattr(block, key) is not None}
+
+
+def _mask(image: FloatArray, maps: dict[str, FloatArray], block: FitsBandBlock) -> BoolArray:
+    """Pixels that are used: 1 in the mask, and of positive weight."""
     mask = np.ones(image.shape, dtype=bool)
-    if block.mask is not None:
-        values, _ = read_image(expand_path(block.mask), 0, MAX_SIDE)
-        if not np.isfinite(values).all():
+    if "mask" in maps:
+        if not np.isfinite(maps["mask"]).all():
             raise ValueError(f"{block.mask}: the mask has pixels that are not finite, expected 0 and 1")
-        mask = values > 0
-    if block.sigma is not None:
-        noise = NoiseModel(None, None)
-        sigma, _ = read_image(expand_path(block.sigma), 0, MAX_SIDE)
-    elif block.weight is not None:
-        noise = NoiseModel(None, None)
-        weight, _ = read_image(expand_path(block.weight), 0, MAX_SIDE)
-        if weight.shape == mask.shape:
-            mask = mask & (weight > 0)  # weight 0: no data in that pixel
-        sigma = 1.0 / np.sqrt(np.where(weight > 0, weight, np.nan))
-    else:
-        noise = NoiseModel(
-            background_rms=_header_number(path, header, block.background_rms, "BKGRMS", "background_rms"),
-            exposure_s=_header_number(path, header, block.exposure_s, "EXPTIME", "exposure_s"),
-        )
-        sigma = noise.sigma(image)
-    band = checked_band(name, grid, image, sigma, mask, psf, noise)
-    return grid, replace(band, noise=replace(noise, correlation=_noise_correlation(grid, band, block)))
+        mask = maps["mask"] > 0
+    if "weight" in maps and maps["weight"].shape == mask.shape:  # of another shape: `checked_band` refuses it
+        mask = mask & (maps["weight"] > 0)
+    return mask
 
 
-def _noise_correlation(grid: PixelGrid, band: Band, block: FitsBandBlock) -> FloatArray | None:
-    """As the user's file has it, or as measured in blank sky; None: independent pixels."""
-    if block.noise_correlation is not None:
-        values, _ = read_image(expand_path(block.noise_correlation), 0, MAX_SIDE)
-        where = f"{block.noise_correlation}"
-    elif block.blank_sky_arcsec is not None:
-        where = f"observation.fits.{band.name}.blank_sky_arcsec: {block.blank_sky_arcsec:g}"
-    else:
+def _sigma_map(maps: dict[str, FloatArray]) -> FloatArray:
+    """Noise per pixel from a map of it or of the inverse variance, NaN where there is no weight."""
+    if "sigma" in maps:
+        return maps["sigma"]
+    return 1.0 / np.sqrt(np.where(maps["weight"] > 0, maps["weight"], np.nan))
+
+
+def _noise_correlation(
+    grid: PixelGrid, band: Band, maps: dict[str, FloatArray], block: FitsBandBlock
+) -> FloatArray | None:
+    """Correlation of the noise from the user's file, or as measured in blank sky; None: independent pixels."""
+    radius, where = block.blank_sky_arcsec, block.noise_correlation
+    if radius is not None:
+        where = f"observation.fits.{band.name}.blank_sky_arcsec: {radius:g}"
+    if where is None:
         return None
     try:
-        if block.blank_sky_arcsec is not None:
-            values, _ = sky_noise(band.image, blank_sky(grid, band, block.blank_sky_arcsec))
-        return checked_correlation(values)
+        if radius is None:
+            return checked_correlation(maps["noise_correlation"])
+        return checked_correlation(sky_noise(band.image, blank_sky(grid, band, radius))[0])
     except ValueError as error:
         raise ValueError(f"{where}: {error}") from error
 
@@ -94,18 +103,13 @@ def blank_sky(grid: PixelGrid, band: Band, radius_arcsec: float) -> BoolArray:
     return (np.hypot(*grid.coordinates()) > radius_arcsec) & band.mask
 
 
-def input_files(block: FitsBandBlock) -> dict[str, Path]:
-    """The files that a band is read from, by the name of their key."""
-    return {key: expand_path(getattr(block, key)) for key in FITS_FILES if getattr(block, key) is not None}
-
-
 def _check_units(path: Path, header: fits.Header, given: str | None) -> None:
-    found = given or header.get("BUNIT")
-    if found is None:
-        raise ValueError(f"{path}: no BUNIT; say observation.fits.BAND.units: electron/s if that is the unit")
-    if str(found).strip().lower().replace(" / ", "/") not in _UNITS:
+    unit = given or header.get("BUNIT")
+    if unit is None:
+        raise ValueError(f"{path}: no BUNIT; set observation.fits.BAND.units: electron/s if that is the unit")
+    if str(unit).strip().lower().replace(" / ", "/") not in _UNITS:
         raise ValueError(
-            f"{path}: BUNIT is {found!r}, expected electron/s; convert the image, or say "
+            f"{path}: BUNIT is {unit!r}, expected electron/s; convert the image, or set "
             "observation.fits.BAND.units: electron/s if that is its unit all the same"
         )
 
@@ -148,22 +152,18 @@ def _pixel_grid(path: Path, header: fits.Header, shape: tuple[int, ...], block: 
 
 def read_fits(blocks: dict[str, FitsBandBlock]) -> Observation:
     """Read all bands; they must share one pixel grid."""
-    grids: list[PixelGrid] = []
-    bands: list[Band] = []
+    pairs: list[tuple[PixelGrid, Band]] = []
     for name, block in blocks.items():
-        grid, band = read_band(name, block)
-        grids.append(grid)
-        bands.append(band)
-        if grid != grids[0]:
-            raise ValueError(
-                f"band {name} lies on other pixels than band {bands[0].name}: {grid} against {grids[0]}; "
-                "align the images (same shape, pixel scale, orientation and centre)"
-            )
-    return Observation("fits", grids[0], tuple(bands))
+        pairs.append(read_band(name, block))
+        (first_grid, first), (grid, _) = pairs[0], pairs[-1]
+        if grid != first_grid:
+            problem = f"band {name} lies on other pixels than band {first.name}: {grid} against {first_grid}"
+            raise ConfigError([f"{problem}; align the images (same shape, pixel scale, orientation and centre)"])
+    return Observation("fits", pairs[0][0], tuple(band for _, band in pairs))
 
 
 def artifact_path(block: ObservationBlock) -> Path:
-    """The observation of another campaign that `kind: artifact` takes its bands from; it must be there."""
+    """Path of the other campaign's observation that `kind: artifact` takes its bands from; it must exist."""
     assert block.artifact is not None  # config: kind artifact comes with its path
     path = expand_path(block.artifact)
     if not path.is_file():
@@ -172,7 +172,7 @@ def artifact_path(block: ObservationBlock) -> Path:
 
 
 def planned_mask(block: ObservationBlock) -> tuple[PixelGrid, BoolArray]:
-    """Pixel grid and the pixels that some band uses [ny, nx], before the stage has run."""
+    """Return the pixel grid and the pixels that some band uses [ny, nx], before the stage has run."""
     if block.kind == "simulated":
         assert block.simulated is not None  # config: kind simulated comes with its block
         grid = PixelGrid.centred(block.simulated.shape, block.simulated.pixel_scale_arcsec)

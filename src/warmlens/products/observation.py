@@ -13,10 +13,10 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Band, Observation
 
-_SKY = ("y", "x")
-_OFFSET = ("row offset", "column offset")
-_RAY = ("pixel", "sub-pixel")
-_RATE = "electron / s"
+SKY = ("y", "x")
+OFFSET = ("row offset", "column offset")
+RAY = ("pixel", "sub-pixel")
+RATE = "electron / s"
 
 
 def observation_datasets(observation: Observation) -> tuple[dict[str, Dataset], dict[str, Any]]:
@@ -24,14 +24,14 @@ def observation_datasets(observation: Observation) -> tuple[dict[str, Dataset], 
     datasets: dict[str, Dataset] = {}
     for band in observation.bands:
         datasets |= {
-            f"{band.name}/image": Dataset(band.image, _RATE, _SKY, "observed brightness per pixel"),
-            f"{band.name}/sigma": Dataset(band.sigma, _RATE, _SKY, "noise per pixel, inf where masked"),
-            f"{band.name}/mask": Dataset(band.mask, "", _SKY, "1 on pixels that are used"),
-            f"{band.name}/psf": Dataset(band.psf, "", _SKY, "point spread function, sum 1"),
+            f"{band.name}/image": Dataset(band.image, RATE, SKY, "observed brightness per pixel"),
+            f"{band.name}/sigma": Dataset(band.sigma, RATE, SKY, "noise per pixel, inf where masked"),
+            f"{band.name}/mask": Dataset(band.mask, "", SKY, "1 on pixels that are used"),
+            f"{band.name}/psf": Dataset(band.psf, "", SKY, "point spread function, sum 1"),
         }
         if band.noise.correlation is not None:
             datasets[f"{band.name}/noise_correlation"] = Dataset(
-                band.noise.correlation, "", _OFFSET, "correlation of the noise between pixels, 1 in the middle"
+                band.noise.correlation, "", OFFSET, "correlation of the noise between pixels, 1 in the middle"
             )
     metadata = {
         "kind": observation.kind,

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from warmlens.artifacts.file import ArtifactError, Dataset
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import bent_rays, lensed_image, subpixel_field
 from warmlens.imaging.observation import Band
@@ -15,7 +16,7 @@ from warmlens.imaging.psf import Convolution, point_source
 from warmlens.lensing.images import DeflectionField, moved_images
 from warmlens.products.observation import read_observation
 from warmlens.products.samples import SampleTable
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.sampling import stream
 from warmlens.stage_table import MocksSettings, NullMocksSettings
 from warmlens.stages.job import Job

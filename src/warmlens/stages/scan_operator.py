@@ -9,6 +9,7 @@ import numpy as np
 from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, input_digest
 from warmlens.config.scan import ScanBlock
 from warmlens.fitting.linear import LinearModel, build_linear_model
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.observation import Observation
 from warmlens.imaging.shapelets import pixel_basis
 from warmlens.physics import scan_nested, scan_perturber, scan_raster
@@ -19,7 +20,7 @@ from warmlens.products.scan_operator import (
     read_projection,
     shard_datasets,
 )
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.scan.operator import build_shard, project_band
 from warmlens.stage_table import STAGES, ScanSettings
 from warmlens.stages.job import Job

@@ -12,11 +12,12 @@ import numpy as np
 
 from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, open_artifact
 from warmlens.fitting.linear import LinearFit, physical_coefficients, solve
+from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.observation import Observation
 from warmlens.physics import scan_perturber, scan_raster
 from warmlens.products.observation import read_observation
 from warmlens.products.scan_operator import read_linear_model, read_shard
-from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.scan.apply import delta_r, delta_r_and_response
 from warmlens.scan.maps import residual_images, residual_maps
 from warmlens.scan.response import LinearResponse, expected_delta_r
