@@ -21,7 +21,7 @@ from warmlens.halos.lens_halo import HaloGenerator
 from warmlens.imaging.noise import NoiseModel
 from warmlens.products.samples import FAILED_HERE, OK
 from warmlens.stage_table import stage_digests
-from warmlens.stages import deflections, scans, summaries
+from warmlens.stages import deflections, scanner, summaries
 
 from ..reliability import Outcome, fault
 from .conftest import Project
@@ -219,7 +219,7 @@ SPOILT = {  # what is made to return NaN in its second call, once a sample or a 
     "deflections": (deflections, "filtered_deflection", lambda field: field * np.nan),
     "mocks": (NoiseModel, "draw", lambda image: image * np.nan),
     "null_mocks": (NoiseModel, "draw", lambda image: image * np.nan),
-    "scans": (scans, "delta_r", _spoil_one_scan),
+    "scans": (scanner, "delta_r", _spoil_one_scan),
     "summaries": (summaries, "correlation_function", lambda values: values * np.nan),
 }
 
