@@ -6,14 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 import pandas as pd
+from warmlens.figures.draw.psf import radial_profile
+from warmlens.figures.maps import SampleMaps, draw_halo_maps, read_halo_maps
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
-from warmlens.figures.draw.psf import radial_profile
 from warmlens.figures.draw.style import house_style
 from warmlens.figures.inputs import figure_inputs
-from warmlens.figures.maps import SampleMaps, draw_halo_maps, read_halo_maps
 from warmlens.figures.recipe import map_table
 from warmlens.imaging.grid import PixelGrid
 from warmlens.products.halos import read_subhalos

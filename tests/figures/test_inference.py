@@ -11,14 +11,14 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
+from warmlens.figures.checks import ConvergenceFigure, PredictiveFigure, draw_convergence, draw_predictive
+from warmlens.figures.draw.bounds import BoundRow
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import NUMBERS
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
 from warmlens.figures.calibration import CalibrationFigure, draw_calibration
-from warmlens.figures.checks import ConvergenceFigure, PredictiveFigure, draw_convergence, draw_predictive
-from warmlens.figures.draw.bounds import BoundRow
 from warmlens.figures.draw.style import house_style
 from warmlens.figures.posterior import LikelihoodFigure, draw_likelihood
 

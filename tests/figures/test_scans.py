@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from warmlens.figures.planes import read_lens_planes, read_source_planes
 
 from warmlens.artifacts.file import Artifact, ArtifactError, Provenance, open_artifact, write_artifact
 from warmlens.artifacts.names import CONFIG
@@ -15,7 +16,6 @@ from warmlens.campaign.files import stage_files
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
 from warmlens.figures.inputs import find_inputs
-from warmlens.figures.planes import read_lens_planes, read_source_planes
 from warmlens.figures.samples import heavy_and_light, warm_to_cold
 
 BANDS = ("F814W", "F555W")

@@ -10,13 +10,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
-
-from warmlens.artifacts.file import ArtifactError, open_artifact
-from warmlens.campaign.files import stage_files
-from warmlens.config.model import Config
-from warmlens.figures.draw.style import house_style
-from warmlens.figures.inputs import figure_inputs
-from warmlens.figures.samples import group_values
 from warmlens.figures.summaries import (
     SummariesFigure,
     draw_paper_correlations,
@@ -24,6 +17,13 @@ from warmlens.figures.summaries import (
     read_paper_correlations,
     read_summaries,
 )
+
+from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.campaign.files import stage_files
+from warmlens.config.model import Config
+from warmlens.figures.draw.style import house_style
+from warmlens.figures.inputs import figure_inputs
+from warmlens.figures.samples import group_values
 
 
 @pytest.fixture(scope="module")

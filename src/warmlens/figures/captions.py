@@ -24,11 +24,11 @@ CAPTIONS: Mapping[str, str] = MappingProxyType(
             "steps."
         ),
         "halo_maps": (
-            "Projected mass Σ_sub [M☉ kpc⁻²] of the subhaloes of six samples from warm to cold; titles give the "
+            "Projected mass Σ_sub [M☉ kpc⁻²] of the subhalos of six samples from warm to cold; titles give the "
             "thermal relic mass m_TH [keV] and the halo mass M_h."
         ),
         "deflection_maps": (
-            "West component Δα_x [arcsec] of the high-pass filtered deflection by the subhaloes of six samples "
+            "West component Δα_x [arcsec] of the high-pass filtered deflection by the subhalos of six samples "
             "from warm to cold; titles give m_TH [keV] and M_h."
         ),
         "mocks": (
@@ -83,11 +83,11 @@ CAPTIONS: Mapping[str, str] = MappingProxyType(
             "Monte-Carlo error."
         ),
         "1": (
-            "Projected mass Σ_sub [M☉ kpc⁻²] of haloes of thermal relic mass 1 to 10 keV (columns) and halo mass "
+            "Projected mass Σ_sub [M☉ kpc⁻²] of halos of thermal relic mass 1 to 10 keV (columns) and halo mass "
             "10¹² to 10¹³·⁵ M☉ (rows), 4″ × 4″; one colour scale a row."
         ),
         "2": (
-            "First component Δα₁ [arcsec] of the high-pass filtered deflection by the haloes of Fig. 1, full "
+            "First component Δα₁ [arcsec] of the high-pass filtered deflection by the halos of Fig. 1, full "
             "colour at 0.04″; the largest deflection is written in each panel."
         ),
         "3": (
@@ -105,7 +105,7 @@ CAPTIONS: Mapping[str, str] = MappingProxyType(
         "6": _PLANE + "the number of shapelets of the lens potential.",
         "7": _PLANE + "the description of the source: global shapelets, nested ones, clumps.",
         "8": (
-            "Cumulative subhalo mass function and v_max function at z = 0 of haloes of 10¹²·⁵ M☉, mean of five "
+            "Cumulative subhalo mass function and v_max function at z = 0 of halos of 10¹²·⁵ M☉, mean of five "
             "realizations (faint) per dark matter model, beside published suppression fits (dashed, dotted)."
         ),
     }

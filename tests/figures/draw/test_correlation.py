@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from warmlens.figures.draw.correlation import draw_correlations, draw_cumulatives, group_by_mass
 
 GRID = np.linspace(0.0, 2.5, 6)

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from matplotlib.path import Path
-
 from warmlens.figures.draw.posterior import draw_mass_marginal, draw_posterior_plane
+
 from warmlens.inference.bound import Bound
 
 M_RANGE, LOG_RANGE = (1.0, 5.0), (13.0, 13.5)

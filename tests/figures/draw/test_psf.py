@@ -3,8 +3,8 @@ from __future__ import annotations
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-
 from warmlens.figures.draw.psf import PsfRow, draw_profiles, draw_psf_row, radial_profile
+
 from warmlens.figures.draw.style import house_style
 from warmlens.imaging.psf import hst_like_psf
 

@@ -6,7 +6,6 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.colors import AsinhNorm, LogNorm
-
 from warmlens.figures.draw.halo_maps import (
     density_limits,
     draw_deflection_panels,
@@ -14,6 +13,7 @@ from warmlens.figures.draw.halo_maps import (
     draw_halo_map,
     draw_halo_panels,
 )
+
 from warmlens.figures.draw.sky import add_colour_bar, draw_compass, draw_diverging, draw_image
 from warmlens.figures.draw.style import house_style
 from warmlens.imaging.grid import PixelGrid

@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 from matplotlib.colors import AsinhNorm
 from matplotlib.patches import Circle
-
 from warmlens.figures.draw.smooth_model import (
     LensMarks,
     SmoothModelRow,
@@ -13,6 +12,7 @@ from warmlens.figures.draw.smooth_model import (
     draw_smooth_model_row,
     key_handles,
 )
+
 from warmlens.figures.draw.style import house_style
 from warmlens.imaging.grid import PixelGrid
 from warmlens.lensing.critical_curves import CriticalCurve

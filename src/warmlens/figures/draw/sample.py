@@ -6,13 +6,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Rectangle
 
-from warmlens.figures.draw.correlation import set_signal_scale
+from warmlens.figures.draw.axes import set_signal_scale
 from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray
 
 SAMPLE_COLOUR, BAND_COLOUR = "#c1403d", "#2f6f9f"
 _NOTHING = 1e-6  # of the largest value of a summary: rounding, which the ordinate need not show
-MARKED = 20  # heaviest subhaloes that are circled
+MARKED = 20  # heaviest subhalos that are circled
 
 
 def draw_summary(
@@ -47,14 +47,14 @@ def draw_summary(
 def mark_subhalos(
     ax: Axes, x_arcsec: FloatArray, y_arcsec: FloatArray, m_bound_msun: FloatArray, image: PixelGrid
 ) -> None:
-    """Circle the heaviest subhaloes, radius by the cube root of the mass, and frame the image.
+    """Circle the heaviest subhalos, radius by the cube root of the mass, and frame the image.
 
     Parameters
     ----------
     ax
         Panel in arcsec; its limits stay.
     x_arcsec, y_arcsec, m_bound_msun
-        Subhaloes, each [n].
+        Subhalos, each [n].
     image
         Pixels of the observation.
     """

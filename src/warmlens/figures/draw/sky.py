@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray
 
 MASKED_COLOUR = "0.85"
+DENSITY_LABEL = r"$\Sigma_{\rm sub}$ [M$_\odot$ kpc$^{-2}$]"
+DECADES = 3.0  # of the surface density
 Stretch = Literal["linear", "asinh", "log"]
 
 
@@ -104,6 +107,38 @@ def draw_diverging(
     if not 0.0 < full < np.inf:
         raise ValueError(f"limit of a diverging map must be finite and > 0, got {full!r}; give one")
     return draw_image(ax, field, grid, limits=(-full, full), cmap=cmap)
+
+
+def draw_halo_map(
+    ax: Axes, surface_density_msun_kpc2: FloatArray, grid: PixelGrid, limits: tuple[float, float] | None = None
+) -> AxesImage:
+    """Draw the projected mass of subhalos on a logarithmic scale.
+
+    Parameters
+    ----------
+    ax, grid
+        As in `draw_image`.
+    surface_density_msun_kpc2
+        Sigma [Msun/kpc^2], [ny, nx]; 0 (no subhalo) has the first colour.
+    limits
+        Sigma of the first and last colour; `density_limits` of this map unless given.
+    """
+    low, high = density_limits([surface_density_msun_kpc2]) if limits is None else limits
+    return draw_image(ax, surface_density_msun_kpc2, grid, "log", (low, high), cmap="magma")
+
+
+def density_limits(maps: Iterable[FloatArray]) -> tuple[float, float]:
+    """Return the first and last colour of maps of Sigma [Msun/kpc^2] on one scale: the peak is the last."""
+    high = max(float(np.max(sigma)) for sigma in maps)
+    if not 0.0 < high < np.inf:
+        raise ValueError(f"the largest surface density is {high}: there is no substructure to show")
+    return high / 10.0**DECADES, high
+
+
+def brightness_limits(image: FloatArray) -> tuple[float, float]:
+    """Return the first and last colour of an image of bright sources, NaN where it is blank."""
+    finite = image[np.isfinite(image)]
+    return float(min(0.0, np.percentile(finite, 1.0))), float(np.percentile(finite, 99.8))
 
 
 def draw_compass(ax: Axes, colour: str = "white", length: float = 0.12) -> None:

@@ -8,7 +8,8 @@ from typing import Protocol
 from matplotlib.axes import Axes
 from matplotlib.ticker import AutoMinorLocator
 
-from warmlens.figures.draw.posterior import COLOUR, EXCLUDED, MASS_LABEL
+from warmlens.figures.draw.axes import BOUND_LABEL, legend_above
+from warmlens.figures.draw.style import BLUE, RED
 
 FAINT = "0.45"
 
@@ -73,17 +74,17 @@ def draw_bounds(ax: Axes, rows: Sequence[Variant]) -> None:
     base = rows[0]
     if base.bound_kev is not None and base.mc_error_kev is not None:
         low, high = base.bound_kev - base.mc_error_kev, base.bound_kev + base.mc_error_kev
-        ax.axvspan(low, high, color=COLOUR, alpha=0.12, lw=0)
+        ax.axvspan(low, high, color=BLUE, alpha=0.12, lw=0)
     for row, height in zip(rows, heights, strict=True):
         if row.bound_kev is not None:
-            ax.errorbar(row.bound_kev, height, xerr=row.mc_error_kev, fmt="o", ms=4, color=COLOUR, capsize=2)
+            ax.errorbar(row.bound_kev, height, xerr=row.mc_error_kev, fmt="o", ms=4, color=BLUE, capsize=2)
         else:
             note = "failed" if row.state == "failed" else "scan only"
             ax.annotate(note, (0.98, height), xycoords=("axes fraction", "data"), ha="right", va="center",
-                        fontsize=8, color=EXCLUDED if note == "failed" else FAINT)  # fmt: skip
+                        fontsize=8, color=RED if note == "failed" else FAINT)  # fmt: skip
         if row.prior_only_kev is not None:
             ax.plot(row.prior_only_kev, height, marker="|", ms=9, mew=1.4, color="black", ls="none")
-    ax.plot([], [], marker="o", ms=4, color=COLOUR, ls="none", label="bound, MC error")
+    ax.plot([], [], marker="o", ms=4, color=BLUE, ls="none", label="bound, MC error")
     ax.plot([], [], marker="|", ms=9, mew=1.4, color="black", ls="none", label="prior alone")
     ax.set_yticks(heights, [row.name for row in rows])
     ax.tick_params(axis="y", which="both", length=0)
@@ -96,8 +97,8 @@ def draw_bounds(ax: Axes, rows: Sequence[Variant]) -> None:
         previous = row.group
     ax.set_ylim(heights[-1] - 0.7, heights[0] + 0.7)
     ax.xaxis.set_minor_locator(AutoMinorLocator())
-    ax.set_xlabel(f"lower bound on {MASS_LABEL}")
-    ax.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handletextpad=0.4)
+    ax.set_xlabel(BOUND_LABEL)
+    legend_above(ax, 2, (-0.02, 1.0), handletextpad=0.4)
 
 
 def draw_scans(ax: Axes, rows: Sequence[Variant]) -> None:
@@ -109,12 +110,12 @@ def draw_scans(ax: Axes, rows: Sequence[Variant]) -> None:
     known = [(row.n_below, height) for row, height in zip(rows, heights, strict=True) if row.n_below is not None]
     null = [(row.null_n_below, h) for row, h in zip(rows, heights, strict=True) if row.null_n_below is not None]
     if rows[0].n_below is not None:
-        ax.axvline(rows[0].n_below, color=COLOUR, alpha=0.4, lw=1.0)
-    ax.plot([n for n, _ in known], [height for _, height in known], "o", ms=4, color=COLOUR, label="observation")
+        ax.axvline(rows[0].n_below, color=BLUE, alpha=0.4, lw=1.0)
+    ax.plot([n for n, _ in known], [height for _, height in known], "o", ms=4, color=BLUE, label="observation")
     if null:
         n_below, level = zip(*null, strict=True)
         ax.plot(n_below, level, marker="|", ms=9, mew=1.4, color="black", ls="none", label="null mocks")
-        ax.legend(loc="lower left", bbox_to_anchor=(-0.02, 1.0), ncols=2, borderaxespad=0.1, handletextpad=0.4)
+        legend_above(ax, 2, (-0.02, 1.0), handletextpad=0.4)
     ax.set_xlim(0.0, 1.1 * max([n for n, _ in (*known, *null)], default=1) or 1.0)
     ax.tick_params(axis="y", which="both", length=0)
     ax.set_xlabel(r"positions of the scan below the threshold")
