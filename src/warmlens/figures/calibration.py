@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
@@ -16,7 +18,7 @@ from warmlens.inference.calibration import MASS_BINS_KEV
 
 _PARAMETERS = {"m_th_kev": r"$m_{\rm TH}$", "log10_m_halo_msun": r"$M_{\rm h}$"}
 _EXPECTED, _NULL = "expected of cold truths", "null test"
-_LEGEND = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 0.8, "fontsize": 7.5}
+_LEGEND: dict[str, Any] = {"handlelength": 1.2, "handletextpad": 0.4, "columnspacing": 0.8, "fontsize": 7.5}
 
 
 def read(inputs: Inputs) -> dict[str, pd.DataFrame]:

@@ -64,11 +64,8 @@ def read(inputs: Inputs) -> GroupedSummaries:
 def group_summaries(data: Summaries) -> GroupedSummaries:
     """Group samples by halo mass and model: the nodes of a grid, else ranges of equal numbers of samples."""
     masses, relics = (data.parameters[name].to_numpy() for name in ("log10_m_halo_msun", "m_th_kev"))
-    panels, models = (
-        group_values(masses, min(N_PANELS, masses.size)),
-        group_values(relics, min(N_MODELS, relics.size)),
-    )
-    return GroupedSummaries(data, tuple(panels), tuple(models))
+    panels = group_values(masses, min(N_PANELS, masses.size))
+    return GroupedSummaries(data, tuple(panels), tuple(group_values(relics, min(N_MODELS, relics.size))))
 
 
 def group_values(values: FloatArray, n_groups: int) -> list[Group]:
@@ -139,6 +136,6 @@ def tabulate(data: GroupedSummaries) -> pd.DataFrame:
             group = data.models[model]
             where = {**ends, "m_th_low_kev": group.low, "m_th_high_kev": group.high, "n_samples": len(members)}
             curves.append(curve(values[members].mean(axis=0), "mean", **where))
-            for member in members[:N_REALIZATIONS]:
-                curves.append(curve(values[member], "sample", sample_id=sample_id[member], **where))
+            singles = members[:N_REALIZATIONS]
+            curves += [curve(values[row], "sample", sample_id=sample_id[row], **where) for row in singles]
     return pd.concat(curves, ignore_index=True)

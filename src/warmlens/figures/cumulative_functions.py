@@ -53,14 +53,12 @@ def read(config: Config) -> dict[str, pd.DataFrame]:
     cold = mass_counts["CDM"].mean(axis=0)
     resolved = math.log10(config.halos.min_mass_msun) <= MASS_BINS
     mass, v_max = [], []
-    for name in mass_counts:
-        counts = _tabulate_counts(
-            "m_bound_msun", 10.0 ** MASS_BINS[resolved], name, mass_counts[name][:, resolved]
-        )
+    for name, counts in mass_counts.items():
+        rows = _tabulate_counts("m_bound_msun", 10.0 ** MASS_BINS[resolved], name, counts[:, resolved])
         if name in half_mode:
             for label, fit in _FITS.items():
-                counts[f"n_above_{label}"] = suppress(cold, fit, half_mode[name])[resolved]
-        mass.append(counts)
+                rows[f"n_above_{label}"] = suppress(cold, fit, half_mode[name])[resolved]
+        mass.append(rows)
         v_max.append(_tabulate_counts("v_max_kms", VMAX_BINS, name, vmax_counts[name]))
     return {"mass": pd.concat(mass), "v_max": pd.concat(v_max)}
 

@@ -34,10 +34,8 @@ class AmplitudeRow:
     ----------
     significance
         Best amplitude over its error of each image, [ny, nx].
-    sensitivity
-        What could be seen at each position [ny, nx]: an error or a mass.
-    label, column
-        What `sensitivity` is, with its unit: in the figure, and in the table.
+    sensitivity, label, column
+        What could be seen at each position [ny, nx], and what that is: in the figure, and in the table.
     """
 
     significance: Sequence[FloatArray]
@@ -48,16 +46,9 @@ class AmplitudeRow:
 
 @dataclass(frozen=True)
 class ScanFigure:
-    """Maps of the observation and of mocks.
+    """Maps of the observation first, then of mocks of some samples.
 
-    Attributes
-    ----------
-    rows
-        One per band and one for their sum; Delta R of the observation first, then of the samples.
-    amplitude
-        The linear response in the same order; None if the scan has none.
-    samples, grid
-        Whose mocks are shown, and the positions of the scan.
+    There is a row per band and one for their sum; the amplitude is None if the scan has none.
     """
 
     rows: tuple[ScanRow, ...]

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterator
+from functools import partial
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -31,13 +33,10 @@ DEFLECTION_LIMIT_ARCSEC = 0.04  # as in the paper
 def read_masses(config: Config) -> FloatArray:
     """Return Sigma [Msun/kpc^2] of each halo of Fig. 1, [n_host, n_relic, ny, nx]."""
     _, lens = geometry(config.cosmology, config.redshifts)
-    halos = _draw_halos(config, halo_generator(config.cosmology, config.redshifts, config.halos))
-    return np.array(
-        [
-            [convergence_map(halo.subhalos, MAP_GRID, lens) * lens.sigma_crit_msun_kpc2 for halo in row]
-            for row in halos
-        ]
-    )
+    maps = np.empty((len(HOSTS_LOG10), len(RELICS_KEV), *MAP_GRID.shape))
+    for place, halo in _draw_halos(config, halo_generator(config.cosmology, config.redshifts, config.halos)):
+        maps[place] = convergence_map(halo.subhalos, MAP_GRID, lens) * lens.sigma_crit_msun_kpc2
+    return maps
 
 
 def read_deflections(config: Config) -> FloatArray:
@@ -47,11 +46,10 @@ def read_deflections(config: Config) -> FloatArray:
     _, lens = geometry(config.cosmology, config.redshifts)
     generator = halo_generator(config.cosmology, config.redshifts, config.halos)
     maps = np.empty((len(HOSTS_LOG10), len(RELICS_KEV), *MAP_GRID.shape))
-    for row, halos in enumerate(_draw_halos(config, generator)):
-        for column, halo in enumerate(halos):
-            host = smooth_host(generator, HOSTS_LOG10[row], halo.f_sub) if block.smooth_host else None
-            delta = filtered_deflection(halo.subhalos, MAP_GRID, lens, block.filter_arcsec, block.filter, host)
-            maps[row, column] = delta[0]
+    for place, halo in _draw_halos(config, generator):
+        host = smooth_host(generator, HOSTS_LOG10[place[0]], halo.f_sub) if block.smooth_host else None
+        delta = filtered_deflection(halo.subhalos, MAP_GRID, lens, block.filter_arcsec, block.filter, host)
+        maps[place] = delta[0]
     return maps
 
 
@@ -82,17 +80,8 @@ def draw_deflections(maps: FloatArray) -> Figure:
     return figure
 
 
-def tabulate_masses(maps: FloatArray) -> pd.DataFrame:
-    """Return one column per halo of Fig. 1."""
-    return _tabulate(maps, "sigma_msun_per_kpc2")
-
-
-def tabulate_deflections(maps: FloatArray) -> pd.DataFrame:
-    """Return one column per halo of Fig. 2."""
-    return _tabulate(maps, "delta_alpha_1_arcsec")
-
-
 def _tabulate(maps: FloatArray, quantity: str) -> pd.DataFrame:
+    """Return one column per halo."""
     columns = {
         f"{quantity}_{m_th:g}keV_log10m{log10_m_halo:g}": data
         for log10_m_halo, row in zip(HOSTS_LOG10, maps, strict=True)
@@ -101,17 +90,18 @@ def _tabulate(maps: FloatArray, quantity: str) -> pd.DataFrame:
     return map_table(MAP_GRID, columns)
 
 
-def _draw_halos(config: Config, generator: HaloGenerator) -> list[list[HaloRealization]]:
-    """Draw the halos of both figures at random, [n_host][n_relic]."""
-    halos: list[list[HaloRealization]] = []
+tabulate_masses = partial(_tabulate, quantity="sigma_msun_per_kpc2")
+tabulate_deflections = partial(_tabulate, quantity="delta_alpha_1_arcsec")
+
+
+def _draw_halos(config: Config, generator: HaloGenerator) -> Iterator[tuple[tuple[int, int], HaloRealization]]:
+    """Draw the halos of both figures at random, each with its row and column."""
     for row, host in enumerate(HOSTS_LOG10):
-        halos.append([])
         for column, m_th in enumerate(RELICS_KEV):
             rng = stream(config.campaign.seed, "figure_1", len(RELICS_KEV) * row + column)
             halo = generator.draw(m_th, 10.0**host, config.halos.field_half_width_arcsec, rng)
-            halos[row].append(halo)
             log.info("10^%g Msun, %g keV: %d subhalos", host, m_th, len(halo.subhalos.m_bound))
-    return halos
+            yield (row, column), halo
 
 
 def _make_panels(height_inch: float, colour: str) -> tuple[Figure, np.ndarray]:

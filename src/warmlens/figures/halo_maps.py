@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import matplotlib.pyplot as plt
@@ -29,17 +30,7 @@ _GRID = PixelGrid.centred((160, 160), 0.025)  # 4" x 4", as the paper's
 
 @dataclass(frozen=True)
 class SampleMaps:
-    """Maps of some samples.
-
-    Attributes
-    ----------
-    maps
-        Sigma [Msun/kpc^2] or Delta alpha_x [arcsec] of each, [ny, nx].
-    samples, grid
-        The samples, and the pixels of every map.
-    quantity
-        What the maps are, with the unit, for the table.
-    """
+    """Maps [ny, nx] of some samples: Sigma [Msun/kpc^2] or Delta alpha_x [arcsec], as `quantity` names it."""
 
     maps: tuple[FloatArray, ...]
     samples: tuple[Sample, ...]
@@ -73,19 +64,28 @@ def read_deflections(inputs: Inputs) -> SampleMaps:
 
 def draw_masses(data: SampleMaps) -> Figure:
     """Draw one panel per sample, on one scale."""
-    figure, axes = _make_panels(data)
     limits = density_limits(data.maps)
-    artists = [draw_halo_map(ax, sigma, data.grid, limits) for ax, sigma in zip(axes, data.maps, strict=True)]
-    _finish(axes, artists, DENSITY_LABEL)
-    return figure
+    return _draw_panels(data, lambda ax, sigma: draw_halo_map(ax, sigma, data.grid, limits), DENSITY_LABEL)
 
 
 def draw_deflections(data: SampleMaps) -> Figure:
     """Draw one panel per sample, on one scale about zero."""
-    figure, axes = _make_panels(data)
     limit = max(float(np.abs(alpha).max()) for alpha in data.maps)
-    artists = [draw_diverging(ax, alpha, data.grid, limit) for ax, alpha in zip(axes, data.maps, strict=True)]
-    _finish(axes, artists, r"$\Delta\alpha_x$ [arcsec]")
+    label = r"$\Delta\alpha_x$ [arcsec]"
+    return _draw_panels(data, lambda ax, alpha: draw_diverging(ax, alpha, data.grid, limit), label)
+
+
+def _draw_panels(data: SampleMaps, draw_map: Callable[[Axes, FloatArray], AxesImage], label: str) -> Figure:
+    """Draw each map with its sample as title, three per row, and one colour bar."""
+    figure, axes = plt.subplots(2, N_SHOWN // 2, figsize=(FULL_WIDTH_INCH, 4.7), sharex=True, sharey=True)
+    panels = axes.flat[: len(data.maps)]
+    for ax in axes.flat[len(data.maps) :]:
+        ax.remove()
+    artists = [draw_map(ax, values) for ax, values in zip(panels, data.maps, strict=True)]
+    for ax, sample in zip(panels, data.samples, strict=True):
+        ax.set_title(sample.label)
+        ax.label_outer()
+    add_colour_bar(artists[0], list(panels), label)
     return figure
 
 
@@ -93,21 +93,3 @@ def tabulate(data: SampleMaps) -> pd.DataFrame:
     """Return one column per sample."""
     pairs = zip(data.samples, data.maps, strict=True)
     return map_table(data.grid, {f"sample_{sample.sample_id}_{data.quantity}": values for sample, values in pairs})
-
-
-def _make_panels(data: SampleMaps) -> tuple[Figure, list[Axes]]:
-    """Make a titled panel for each sample, three per row."""
-    figure, axes = plt.subplots(2, N_SHOWN // 2, figsize=(FULL_WIDTH_INCH, 4.7), sharex=True, sharey=True)
-    for ax in axes.flat[len(data.samples) :]:
-        ax.remove()
-    panels = list(axes.flat[: len(data.samples)])
-    for ax, sample in zip(panels, data.samples, strict=True):
-        ax.set_title(sample.label)
-    return figure, panels
-
-
-def _finish(axes: list[Axes], artists: list[AxesImage], label: str) -> None:
-    """Leave out inner labels of axes, and add the one colour bar."""
-    for ax in axes:
-        ax.label_outer()
-    add_colour_bar(artists[0], axes, label)

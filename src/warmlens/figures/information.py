@@ -12,27 +12,24 @@ from warmlens.figures.draw.style import BLUE, FULL_WIDTH_INCH, ORANGE
 from warmlens.figures.inputs import Inputs, open_input
 from warmlens.inference.summary_sets import SETS
 
+_COLUMNS = {  # by key of the gain, and of the bound
+    "gain_nats": "gain_nats",
+    "gain_error_nats": "gain_error_nats",
+    "value_kev": "bound_kev",
+    "mc_error_kev": "bound_error_kev",
+    "expected_bound_kev": "expected_kev",
+    "expected_bound_error_kev": "expected_error_kev",
+}
+
 
 def read(inputs: Inputs) -> pd.DataFrame:
     """Return gain [nat] and bounds [keV] of every set; NaN where it was refused or too few truths are cold."""
     with open_input(inputs, "abc") as artifact:
         meta = artifact.metadata
-    rows = []
-    for name in SETS:
-        entry = meta["summary_sets"][name]
-        gain, bound = (entry[key] if "refused" not in entry else {} for key in ("gain", "bound"))
-        rows.append(
-            {
-                "summaries": name,
-                "gain_nats": gain.get("gain_nats"),
-                "gain_error_nats": gain.get("gain_error_nats"),
-                "bound_kev": bound.get("value_kev"),
-                "bound_error_kev": bound.get("mc_error_kev"),
-                "expected_kev": gain.get("expected_bound_kev"),
-                "expected_error_kev": gain.get("expected_bound_error_kev"),
-            }
-        )
-    sets = pd.DataFrame(rows).astype({name: float for name in rows[0] if name != "summaries"})
+    entries = [meta["summary_sets"][name] for name in SETS]
+    numbers = pd.DataFrame([{} if "refused" in entry else entry["gain"] | entry["bound"] for entry in entries])
+    sets = numbers.reindex(columns=list(_COLUMNS)).rename(columns=_COLUMNS).astype(float)
+    sets.insert(0, "summaries", list(SETS))
     return sets.assign(prior_only_kev=meta["bounds"][meta["headline"]]["prior_only_kev"])
 
 

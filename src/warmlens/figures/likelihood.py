@@ -27,7 +27,7 @@ _MAX_OVER_PEAK = 10.0  # a band that reaches higher is cut off: few samples at t
 
 
 def read(inputs: Inputs) -> dict[str, pd.DataFrame]:
-    """Return B(m) with its band, the masses where it falls to 1/10 and 1/20, and the bounds, the headline first."""
+    """Return B(m) with its band, where it falls to 1/10 and 1/20, and the bounds, the headline first."""
     with open_input(inputs, "abc") as artifact:
         meta = artifact.metadata
         m_kev, ratio, band = (artifact.array(f"likelihood/{name}") for name in ("m_kev", "ratio", "band"))
@@ -44,15 +44,15 @@ def read(inputs: Inputs) -> dict[str, pd.DataFrame]:
     return {
         "likelihood ratio": pd.DataFrame({"m_th_kev": m_kev, "b": ratio, "b_p16": band[0], "b_p84": band[1]}),
         "crossing": pd.DataFrame(crossings).astype(float),
-        "bound": pd.DataFrame([{"name": name, **_bound_numbers(bound)} for name, bound in bounds.items()]),
+        "bound": _tabulate_bounds(bounds),
     }
 
 
-def _bound_numbers(bound: Mapping[str, Any]) -> dict[str, float]:
-    """Return a bound of `abc.json` [keV]; NaN where a rule or prior was refused."""
-    columns = {"bound_kev": "value_kev", "mc_error_kev": "mc_error_kev", "prior_only_kev": "prior_only_kev"}
-    values = {column: bound.get(key) for column, key in columns.items()}
-    return {column: np.nan if value is None else float(value) for column, value in values.items()}
+def _tabulate_bounds(bounds: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Return bounds of `abc.json` by name [keV]; NaN where a rule or prior was refused."""
+    keys = {"bound_kev": "value_kev", "mc_error_kev": "mc_error_kev", "prior_only_kev": "prior_only_kev"}
+    numbers = {column: [bound.get(key) for bound in bounds.values()] for column, key in keys.items()}
+    return pd.DataFrame({"name": list(bounds), **numbers}).astype(dict.fromkeys(keys, float))
 
 
 def _prior_name(name: str) -> str:
@@ -105,10 +105,9 @@ def _draw_bounds(ax: Axes, bounds: pd.DataFrame) -> None:
     places = np.arange(len(bounds))
     values, errors, priors = (bounds[name].to_numpy() for name in ("bound_kev", "mc_error_kev", "prior_only_kev"))
     ax.axvspan(values[0] - errors[0], values[0] + errors[0], color=RED, alpha=0.12, lw=0)
-    style = {"fmt": "o", "ms": 3.5, "lw": 1.1}
     for lines, colour, label in ((slice(0, 1), RED, None), (slice(1, None), BLUE, "bound")):
-        xerr = np.nan_to_num(errors[lines])
-        ax.errorbar(values[lines], places[lines], xerr=xerr, color=colour, label=label, **style)
+        bars = {"xerr": np.nan_to_num(errors[lines]), "fmt": "o", "ms": 3.5, "lw": 1.1}
+        ax.errorbar(values[lines], places[lines], color=colour, label=label, **bars)
     ax.plot(priors, places, ls="", marker="|", ms=8, mew=1.1, color="black", label="prior alone")
     centre = float(np.nanmean(np.concatenate([values, priors])))
     for place in places[np.isnan(values)]:

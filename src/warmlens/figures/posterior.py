@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import redirect_stdout
 from dataclasses import dataclass
 from io import StringIO
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 MIN_FOR_DENSITY = 30
 REGIONS = (0.683, 0.954)  # probability inside the highest-density contours
 _GRID = 200
-_LEGEND = {"columnspacing": 1.0, "handlelength": 1.1, "handletextpad": 0.4, "markerscale": 1.5}
+_LEGEND: dict[str, Any] = {"columnspacing": 1.0, "handlelength": 1.1, "handletextpad": 0.4, "markerscale": 1.5}
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ def draw_posterior_plane(ax: Axes, data: PosteriorFigure) -> QuadContourSet | No
 
 
 def draw_mass_marginal(ax: Axes, data: PosteriorFigure) -> None:
-    """Draw the marginal distribution of m_TH, corrected for the edges of the prior, what the bound excludes shaded.
+    """Draw the marginal distribution of m_TH, corrected for the edges of the prior, and shade what is excluded.
 
     Reference: Birrer+2017, figure of the constraints (right).
     """
@@ -171,7 +171,7 @@ def _note_too_few(ax: Axes, k: int) -> None:
 
 
 def _getdist_samples(data: PosteriorFigure) -> MCSamples:
-    """Return the accepted samples for getdist to correct their density at the edges of the prior, to first order."""
+    """Return the accepted samples, their density to be corrected at the edges of the prior to first order."""
     from getdist import MCSamples  # takes a second to import, and few accepted samples do without
 
     with redirect_stdout(StringIO()):  # getdist announces that it removed no burn-in

@@ -33,10 +33,8 @@ class PsfRow:
 
     Attributes
     ----------
-    given, improved
-        Kernels of the observation and of the smooth model [odd, odd], sum 1.
-    pixel_scale
-        [arcsec].
+    given, improved, pixel_scale
+        Kernels of the observation and of the smooth model [odd, odd], sum 1; size of their pixels [arcsec].
     error
         Outer edges of rings [n] [arcsec] and the error of the improved PSF in each [n]; None if not measured.
     """
@@ -89,9 +87,8 @@ def tabulate(rows: list[PsfRow]) -> pd.DataFrame:
             edges, sigma = row.error
             panels[f"{row.name} error"] = pd.DataFrame({"radius_arcsec": edges, "error_per_px": sigma})
         grid = PixelGrid.centred(row.given.shape, row.pixel_scale)
-        panels[f"{row.name} kernel"] = map_table(
-            grid, {"given_per_px": row.given, "improved_per_px": row.improved}
-        )
+        kernels = {"given_per_px": row.given, "improved_per_px": row.improved}
+        panels[f"{row.name} kernel"] = map_table(grid, kernels)
     return panel_table(panels)
 
 
@@ -111,7 +108,7 @@ def radial_profile(psf: FloatArray, pixel_scale: float) -> tuple[FloatArray, Flo
 
 
 def draw_psf_row(axes: Sequence[Axes], row: PsfRow) -> None:
-    """Draw given PSF, improved PSF, difference and radial profiles; of an unchanged PSF only itself and its profile.
+    """Draw given and improved PSF, difference and radial profiles; of an unchanged PSF only it and its profile.
 
     There are four panels, or two if no band's PSF was changed; those that are not needed are removed.
     """

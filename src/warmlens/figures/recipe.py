@@ -25,16 +25,9 @@ SourceT = TypeVar("SourceT")
 
 @dataclass(frozen=True)
 class Recipe(Generic[SourceT, DataT]):
-    """The three steps of a figure.
+    """The three steps of a figure: read its data from artifacts or a configuration, draw them, tabulate them.
 
-    Attributes
-    ----------
-    read
-        Returns its data from its source: artifacts, or a configuration.
-    draw
-        Draws the data.
-    tabulate
-        Returns the data as a table, units in the names of the columns; what does not apply is empty.
+    The table has the units in the names of its columns; what does not apply is empty.
     """
 
     read: Callable[[SourceT], DataT]
@@ -42,15 +35,7 @@ class Recipe(Generic[SourceT, DataT]):
     tabulate: Callable[[DataT], pd.DataFrame]
 
     def write(self, source: SourceT, output: Path) -> None:
-        """Write the picture, and its data as CSV beside it.
-
-        Parameters
-        ----------
-        source
-            What `read` takes.
-        output
-            Path of the picture; its suffix sets the format: .png, .pdf or .svg.
-        """
+        """Write the picture as .png, .pdf or .svg, and its data as CSV beside it."""
         kind = output.suffix.removeprefix(".")
         if kind not in ("png", "pdf", "svg"):
             raise ValueError(f"output {output} must end in .png, .pdf or .svg")

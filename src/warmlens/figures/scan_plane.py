@@ -92,7 +92,7 @@ def _read_mocks(inputs: Inputs) -> Scans:
 
 
 def _all_bands(scan: Artifact, row: int | None = None, place: int | None = None) -> pd.DataFrame:
-    """Return the valid positions of all bands together; of a sample, its rows of Delta R and of R_sens are given."""
+    """Return the valid positions of all bands; a sample has its Delta R in `row`, and its R_sens in `place`."""
     valid = scan.array("raster/valid")
     maps = {"delta_r": by_band(scan, "delta_r", row), "r_sens": by_band(scan, "r_sens", place)}
     return pd.DataFrame({name: list(bands.values())[-1][valid] for name, bands in maps.items()})

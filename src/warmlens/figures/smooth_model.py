@@ -18,13 +18,7 @@ from scipy.ndimage import binary_closing
 from scipy.spatial import cKDTree
 
 from warmlens.figures.draw.axes import label_panel
-from warmlens.figures.draw.sky import (
-    add_colour_bar,
-    brightness_limits,
-    draw_compass,
-    draw_diverging,
-    draw_image,
-)
+from warmlens.figures.draw.sky import add_colour_bar, brightness_limits, draw_compass, draw_diverging, draw_image
 from warmlens.figures.draw.style import FULL_WIDTH_INCH
 from warmlens.figures.inputs import Inputs, input_path, open_input
 from warmlens.figures.recipe import map_table, panel_table
@@ -51,14 +45,12 @@ _REACH = 1.0  # spacing of rays: unless they are fainter, one lies closer than t
 
 @dataclass(frozen=True)
 class BandMaps:
-    """Maps of one band; NaN is left blank.
+    """Maps of one band, NaN where they are left blank.
 
     Attributes
     ----------
-    data, model
-        Brightness [e-/s per pixel], [ny, nx].
-    residual
-        (data - model) / sigma [ny, nx].
+    data, model, residual
+        Brightness [e-/s per pixel], and (data - model) / sigma, [ny, nx].
     source
         Surface brightness of the source [e-/s per square arcsec], [ny, nx] of the source's grid.
     chi2_red
@@ -74,11 +66,13 @@ class BandMaps:
 
 
 @dataclass(frozen=True)
-class LensMarks:
-    """What is drawn over the images.
+class SmoothModelFigure:
+    """Maps of every band, and what is drawn over them.
 
     Attributes
     ----------
+    grid, source_grid
+        Pixels of the image and of the source plane.
     curves
         Critical curves and caustics [arcsec].
     quasars, quasar_source
@@ -87,20 +81,13 @@ class LensMarks:
         Radius about the quasar images that chi2_red leaves out.
     """
 
+    bands: tuple[BandMaps, ...]
+    grid: PixelGrid
+    source_grid: PixelGrid
     curves: Sequence[CriticalCurve]
     quasars: FloatArray
     quasar_source: FloatArray
     core_arcsec: float
-
-
-@dataclass(frozen=True)
-class SmoothModelFigure:
-    """Maps of every band, the grids of image and source plane, and what is drawn over them."""
-
-    bands: tuple[BandMaps, ...]
-    grid: PixelGrid
-    source_grid: PixelGrid
-    marks: LensMarks
 
 
 def read(inputs: Inputs) -> SmoothModelFigure:
@@ -109,9 +96,14 @@ def read(inputs: Inputs) -> SmoothModelFigure:
     model = read_smooth_model(input_path(inputs, "smooth_model"))
     with open_input(inputs, "smooth_model") as artifact:
         core = float(artifact.settings["smooth_model"]["quasar_core_arcsec"])
-    marks = _lens_marks(model, observed.grid, core)
+    grid, lens = observed.grid, (model.lens_models, model.kwargs_lens)
+    x, y = grid.coordinates()
+    window = (float(x.min()), float(x.max()), float(y.min()), float(y.max()))
+    curves = critical_curves(*lens, window, _CURVE_STEP_ARCSEC)
+    quasar_source = model.quasars - deflection(*lens, *model.quasars.T).T if len(model.quasars) else model.quasars
     fitted = {band.name: band.mask & np.isfinite(model.fits[band.name].sigma) for band in observed.bands}
-    source_grid, seen = _source_plane(model, observed.grid, np.any(list(fitted.values()), axis=0), marks)
+    shown = [quasar_source, *(curve.source for curve in curves)]
+    source_grid, seen = _source_plane(model, grid, np.any(list(fitted.values()), axis=0), shown)
     bands = []
     for band in observed.bands:
         fit, used = model.fits[band.name], fitted[band.name]
@@ -122,29 +114,17 @@ def read(inputs: Inputs) -> SmoothModelFigure:
                 data=np.where(band.mask, band.image, np.nan),
                 model=np.where(used, fit.model, np.nan),
                 residual=np.where(used, (band.image - fit.model) / np.where(used, fit.sigma, 1.0), np.nan),
-                source=np.where(seen, light / observed.grid.pixel_scale**2, np.nan),
+                source=np.where(seen, light / grid.pixel_scale**2, np.nan),
                 chi2_red=fit.chi2_red_outside_cores,
             )
         )
-    return SmoothModelFigure(tuple(bands), observed.grid, source_grid, marks)
-
-
-def _lens_marks(model: SmoothModel, grid: PixelGrid, core_arcsec: float) -> LensMarks:
-    """Return the critical curves within the image, the quasars, and where the lens traces them to."""
-    x, y = grid.coordinates()
-    window = (float(x.min()), float(x.max()), float(y.min()), float(y.max()))
-    curves = critical_curves(model.lens_models, model.kwargs_lens, window, _CURVE_STEP_ARCSEC)
-    quasars = model.quasars
-    traced = quasars.copy()
-    if len(quasars):
-        traced -= deflection(model.lens_models, model.kwargs_lens, quasars[:, 0], quasars[:, 1]).T
-    return LensMarks(curves, quasars, traced, core_arcsec)
+    return SmoothModelFigure(tuple(bands), grid, source_grid, curves, model.quasars, quasar_source, core)
 
 
 def _source_plane(
-    model: SmoothModel, grid: PixelGrid, used: BoolArray, marks: LensMarks
+    model: SmoothModel, grid: PixelGrid, used: BoolArray, shown: list[FloatArray]
 ) -> tuple[PixelGrid, BoolArray]:
-    """Return a square of the source plane that holds all caustics, and where a pixel of the fit sees it [ny, nx].
+    """Return a square of the source plane that holds the shown points, and where a pixel of the fit sees it.
 
     Elsewhere the shapelets are free: rays next to the lens' centre, strongly demagnified, hardly bind them.
     """
@@ -152,7 +132,7 @@ def _source_plane(
     bright = np.abs(inverse_magnification(model.lens_models, model.kwargs_lens, x, y)) < _FAINTEST
     sky = np.column_stack([x[bright], y[bright]])
     rays = sky - deflection(model.lens_models, model.kwargs_lens, *sky.T).T
-    points = np.concatenate([rays, marks.quasar_source, *(curve.source for curve in marks.curves)])
+    points = np.concatenate([rays, *shown])
     low, high = points.min(axis=0), points.max(axis=0)
     pixels = PixelGrid.centred(
         (_SOURCE_PIXELS, _SOURCE_PIXELS), float((high - low).max()) / _SOURCE_PIXELS, *(0.5 * (low + high))
@@ -168,7 +148,7 @@ def draw(data: SmoothModelFigure) -> Figure:
     n = len(data.bands)
     figure, axes = plt.subplots(n, 4, figsize=(FULL_WIDTH_INCH, 0.55 + 2.2 * n), squeeze=False)
     for panels, maps in zip(axes, data.bands, strict=True):
-        _draw_band(panels, maps, data)
+        draw_band(panels, maps, data)
     circle: dict[str, Any] = {"marker": "o", "ms": 6.5, "mfc": "none", "mec": "black", "mew": 0.8, "ls": ""}
     handles = [
         Line2D([], [], color=LENS_COLOUR, lw=1.2, path_effects=_OUTLINE, label="critical curves and caustics"),
@@ -179,33 +159,32 @@ def draw(data: SmoothModelFigure) -> Figure:
     return figure
 
 
-def _draw_band(axes: Sequence[Axes], maps: BandMaps, figure: SmoothModelFigure) -> None:
+def draw_band(axes: Sequence[Axes], maps: BandMaps, figure: SmoothModelFigure) -> None:
     """Draw data, model with critical curves, normalised residuals, and the source with caustics."""
     data, model, residual, source = axes
-    marks = figure.marks
     limits = brightness_limits(np.where(np.isfinite(maps.model), maps.data, np.nan))
     width = _IMAGE_LINEAR * (limits[1] - limits[0])
     for ax, image, name in ((data, maps.data, "data"), (model, maps.model, "model")):
         shown = draw_image(ax, image, figure.grid, "asinh", limits, width)
         add_colour_bar(shown, ax, rf"{name} [e$^-$ s$^{{-1}}$ px$^{{-1}}$]", "top")
-    _mark_quasars(data, marks, LENS_COLOUR)
+    _mark_quasars(data, figure, LENS_COLOUR)
     label_panel(data, maps.name)
     draw_compass(data)
-    draw_curves(model, [curve.sky for curve in marks.curves])
+    draw_curves(model, [curve.sky for curve in figure.curves])
 
     shown = draw_diverging(residual, maps.residual, figure.grid, RESIDUAL_LIMIT)
     bar = add_colour_bar(shown, residual, r"(data $-$ model) / $\sigma$", "top")
     bar.set_ticks([-4, -2, 0, 2, 4])
-    _mark_quasars(residual, marks, "black")
+    _mark_quasars(residual, figure, "black")
     label_panel(residual, rf"$\chi^2_{{\rm red}} = {maps.chi2_red:.2f}$ outside circles", "black", "white")
 
     limits = brightness_limits(maps.source)
     width = _SOURCE_LINEAR * (limits[1] - limits[0])
     shown = draw_image(source, maps.source, figure.source_grid, "asinh", limits, width)
     add_colour_bar(shown, source, r"source [e$^-$ s$^{-1}$ arcsec$^{-2}$]", "top")
-    draw_curves(source, [curve.source for curve in marks.curves])
-    if len(marks.quasar_source):
-        source.plot(*marks.quasar_source.mean(axis=0), **_STAR, zorder=4)
+    draw_curves(source, [curve.source for curve in figure.curves])
+    if len(figure.quasar_source):
+        source.plot(*figure.quasar_source.mean(axis=0), **_STAR, zorder=4)
     source.set_xlabel(r"$\beta_x$ [arcsec]")
     for ax in axes:
         ax.label_outer()
@@ -222,10 +201,10 @@ def draw_curves(ax: Axes, curves: Sequence[FloatArray]) -> None:
     ax.set_ylim(limits[1])
 
 
-def _mark_quasars(ax: Axes, marks: LensMarks, colour: str) -> None:
+def _mark_quasars(ax: Axes, figure: SmoothModelFigure, colour: str) -> None:
     """Draw a circle about each quasar image."""
-    for x, y in marks.quasars:
-        ax.add_patch(Circle((x, y), marks.core_arcsec, fc="none", ec=colour, lw=0.8))
+    for x, y in figure.quasars:
+        ax.add_patch(Circle((x, y), figure.core_arcsec, fc="none", ec=colour, lw=0.8))
 
 
 def tabulate(data: SmoothModelFigure) -> pd.DataFrame:

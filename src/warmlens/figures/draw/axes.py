@@ -23,14 +23,7 @@ def legend_above(
 ) -> None:
     """Put the legend between a panel and its title, where it hides nothing.
 
-    Parameters
-    ----------
-    ax, n_columns
-        The panel, and columns of its legend.
-    corner
-        Lower left corner of the legend in units of the panel.
-    options
-        More of `Axes.legend`.
+    Its lower left corner is in units of the panel; options are more of `Axes.legend`.
     """
     ax.legend(loc="lower left", bbox_to_anchor=corner, ncols=n_columns, borderaxespad=0.1, **options)
 
@@ -49,14 +42,8 @@ def mask_not_positive(values: FloatArray) -> FloatArray:
 def set_signal_scale(ax: Axes, values: FloatArray) -> None:
     """Start the ordinate at 0, linear up to the decade of the lowest values that matter, logarithmic beyond.
 
-    A sample without anomalies has 0 everywhere, which a logarithmic ordinate would not show.
-
-    Parameters
-    ----------
-    ax
-        The panel.
-    values
-        What it shows most prominently, of any shape; if all are 0, the ordinate stays linear.
+    A sample without anomalies has 0 everywhere, which a logarithmic ordinate would not show. `values` are what
+    the panel shows most prominently, of any shape; if all are 0, the ordinate stays linear.
     """
     if (values > 0.0).any():
         lowest = np.percentile(values[values > 0.0], _LINEAR_BELOW_PERCENTILE)

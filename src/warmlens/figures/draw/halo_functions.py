@@ -26,10 +26,8 @@ def draw_cumulative_functions(
 
     Parameters
     ----------
-    ax
-        Where to draw; both axes become logarithmic.
-    grid
-        Values above which subhalos are counted [n].
+    ax, grid
+        Where to draw, on logarithmic axes, and the values above which subhalos are counted [n].
     realizations
         N(> grid) of each realization by model, [n_realization, n].
     references

@@ -15,17 +15,7 @@ from warmlens.types import FloatArray
 
 @dataclass(frozen=True)
 class ScanRow:
-    """Maps of one band, or of all together; NaN is left blank.
-
-    Attributes
-    ----------
-    name
-        Of the band or the combination.
-    delta_r
-        Delta R of several images, each [ny, nx].
-    r_sens
-        R_sens of the first of them [ny, nx].
-    """
+    """Maps of one band, or of all together: Delta R of several images, R_sens of the first, each [ny, nx]."""
 
     name: str
     delta_r: Sequence[FloatArray]
@@ -39,10 +29,8 @@ def draw_scan_row(
 
     Parameters
     ----------
-    axes
-        One panel per image, and one more.
-    row, grid
-        The maps, and the positions of the scan.
+    axes, row, grid
+        One panel per image and one more, the maps (NaN is left blank), and the positions of the scan.
     limit
         Delta R of full colour, on both sides.
     r_sens_limit
@@ -51,8 +39,7 @@ def draw_scan_row(
     draw_signed_maps(axes[:-1], row.delta_r, grid, limit, r"$\Delta R$")
     name_row(axes[0], row.name)
     if r_sens_limit is None:
-        finite = row.r_sens[np.isfinite(row.r_sens)]
-        brightest = float(np.percentile(finite, 99.5)) if finite.size else 0.0
+        brightest = float(np.nanpercentile(row.r_sens, 99.5))
         r_sens_limit = brightest if brightest > 0.0 else 1.0
     shown = draw_image(axes[-1], row.r_sens, grid, "linear", (0.0, r_sens_limit), cmap="viridis")
     add_colour_bar(shown, axes[-1], r"$R_{\rm sens}$")
