@@ -81,9 +81,9 @@ def test_samples_go_from_warm_to_cold(campaign: Config) -> None:
     with open_artifact(stage_files(campaign, "scans")[1]) as artifact:
         samples = warm_to_cold(artifact)
         m_th = artifact.array("samples/m_th_kev")
-    assert [item.m_th_kev for item in samples] == sorted(item.m_th_kev for item in samples)
+    assert [sample.m_th_kev for sample in samples] == sorted(sample.m_th_kev for sample in samples)
     assert (samples[0].m_th_kev, samples[-1].m_th_kev) == (m_th.min(), m_th.max())
-    assert len({item.sample_id for item in samples}) == 6
+    assert len({sample.sample_id for sample in samples}) == 6
     assert samples[0].sample_id == 20 + samples[0].row
 
 
@@ -150,7 +150,7 @@ def test_residual_samples_that_all_failed(campaign: Config, tmp_path: Path) -> N
     write_artifact(path, Provenance("scans", {}), {}, {"bands": list(BANDS)})
     inputs = find_inputs("6", [Path(campaign.results)])
     with pytest.raises(ArtifactError, match=r"samples of scan\.residual_samples have all failed"):
-        read_lenses({key: path if key.startswith("0/scans") else found for key, found in inputs.items()})
+        read_lenses({key: path if key.startswith("0/scans") else other for key, other in inputs.items()})
 
 
 def test_plane_has_every_position_once_in_each_panel() -> None:

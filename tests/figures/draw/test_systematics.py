@@ -23,9 +23,9 @@ def test_groups_are_set_off() -> None:
 
 def test_bounds_with_errors_beside_the_prior(panel: Axes) -> None:
     draw_bounds(panel, ROWS)
-    bars = [item for item in panel.containers if isinstance(item, ErrorbarContainer)]
-    assert [(item[0].get_xdata()[0], item[0].get_ydata()[0]) for item in bars] == [(2.0, -1.0), (1.5, -6.0)]
-    ends = [np.ptp(item[2][0].get_segments()[0][:, 0]) for item in bars]
+    bars = [bar for bar in panel.containers if isinstance(bar, ErrorbarContainer)]
+    assert [(bar[0].get_xdata()[0], bar[0].get_ydata()[0]) for bar in bars] == [(2.0, -1.0), (1.5, -6.0)]
+    ends = [np.ptp(bar[2][0].get_segments()[0][:, 0]) for bar in bars]
     assert np.allclose(ends, [0.4, 0.6])
     ticks = [line for line in panel.lines if line.get_color() == "black" and len(line.get_xdata())]
     assert [(line.get_xdata()[0], line.get_ydata()[0]) for line in ticks] == [(1.18, -1.0), (1.2, -6.0)]
