@@ -146,15 +146,14 @@ def draw(found: list[Rung], prior_kev: float, output: Path) -> None:
     """Information and expected bound, a line a rung."""
     import matplotlib.pyplot as plt
 
-    from warmlens.figures.draw.bounds import HEAD_COLOUR, OTHER_COLOUR
-    from warmlens.figures.draw.style import FULL_WIDTH_INCH, house_style
+    from warmlens.figures.draw.style import BLUE, FULL_WIDTH_INCH, RED, house_style
 
     with house_style():
         figure, axes = plt.subplots(1, 2, figsize=(FULL_WIDTH_INCH, 1.2 + 0.3 * len(found)), sharey=True)
         places = np.arange(len(found))
         for ax, colour, value, label in (
-            (axes[0], HEAD_COLOUR, "gain", "information on $m_{\\rm TH}$ [nat]"),
-            (axes[1], OTHER_COLOUR, "expected_bound", "expected bound if dark matter is cold [keV]"),
+            (axes[0], RED, "gain", "information on $m_{\\rm TH}$ [nat]"),
+            (axes[1], BLUE, "expected_bound", "expected bound if dark matter is cold [keV]"),
         ):
             unit = "nats" if value == "gain" else "kev"
             values, errors = (

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import matplotlib.pyplot as plt
 import pandas as pd
 import pytest
+from matplotlib.axes import Axes
 
 from warmlens.artifacts.names import CONFIG
 from warmlens.campaign.files import campaign_job, chunks, shards, stage_files
 from warmlens.config.file import load_config, parse_config
 from warmlens.config.model import Config
 from warmlens.figures import registry
+from warmlens.figures.draw.style import house_style
 from warmlens.stage_table import STAGES, campaign_stages
 from warmlens.stages.job import run_job
 
@@ -82,3 +85,13 @@ def table_of(campaign: Config, tmp_path_factory: pytest.TempPathFactory) -> Call
         return pd.read_csv(picture.with_suffix(".csv"))
 
     return read
+
+
+@pytest.fixture
+def panel() -> Iterator[Axes]:
+    """One panel in the house style, which can be rendered with all that a test puts on it."""
+    with house_style():
+        figure, ax = plt.subplots()
+        yield ax
+        figure.canvas.draw()
+        plt.close(figure)

@@ -11,7 +11,8 @@ import pytest
 
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
-from warmlens.figures import halos, registry
+from warmlens.figures import halo_grid, registry
+from warmlens.figures.cumulative_functions import suppress
 from warmlens.figures.draw.style import house_style
 from warmlens.halos.population import MASS_BINS
 from warmlens.physics import geometry
@@ -25,31 +26,38 @@ def coarse(paper_config: Config) -> Config:
 
 
 @pytest.fixture(scope="module")
-def density(coarse: Config) -> halos.HaloGrid:
-    return halos.read_halo_grid(coarse)
+def masses(coarse: Config) -> np.ndarray:
+    return halo_grid.read_masses(coarse)
 
 
-def test_fig_1_is_drawn_with_its_data(density: halos.HaloGrid) -> None:
+def test_fig_1_is_drawn_with_its_data(masses: np.ndarray) -> None:
+    """One scale per halo mass, the relic above each column."""
     with house_style():
-        figure = halos.draw_halo_grid_figure(density)
-    shown = [ax.images[0].get_array() for ax in figure.axes if ax.images]
-    assert len(shown) == 20
-    np.testing.assert_array_equal(shown[7], density.maps[1][2])
+        figure = halo_grid.draw_masses(masses)
+        figure.canvas.draw()
+    panels = [ax for ax in figure.axes if ax.images]
+    assert len(panels) == 20
+    np.testing.assert_array_equal(panels[7].images[0].get_array(), masses[1, 2])
+    assert [ax.get_title() for ax in panels[:5]] == ["1 keV", "2 keV", "3.3 keV", "5 keV", "10 keV"]
+    for row, halo_mass in zip(range(4), ("12", "12.5", "13", "13.5"), strict=True):
+        (limits,) = {ax.images[0].get_clim() for ax in panels[5 * row : 5 * row + 5]}
+        assert limits[1] == masses[row].max()
+        assert f"{{{halo_mass}}}" in panels[5 * row].texts[0].get_text()
     plt.close(figure)
-    table = density.table()
-    np.testing.assert_array_equal(table["sigma_msun_per_kpc2_3.3keV_log10m12.5"], np.ravel(density.maps[1][2]))
+    table = halo_grid.tabulate_masses(masses)
+    np.testing.assert_array_equal(table["sigma_msun_per_kpc2_3.3keV_log10m12.5"], masses[1, 2].ravel())
     assert (table["x_arcsec"].iloc[1], table["y_arcsec"].iloc[160]) == pytest.approx((-1.9625, -1.9625))
     assert table.shape == (160 * 160, 22)
 
 
-def test_fig_2_shows_the_haloes_of_fig_1(coarse: Config, density: halos.HaloGrid) -> None:
-    """First component of the filtered deflection, of the very haloes whose mass Fig. 1 shows."""
-    found = halos.read_deflection_grid(coarse)
-    assert found.column == "delta_alpha_1_arcsec"
+def test_fig_2_shows_the_halos_of_fig_1(coarse: Config, masses: np.ndarray) -> None:
+    """First component of the filtered deflection, of the very halos whose mass Fig. 1 shows."""
+    deflections = halo_grid.read_deflections(coarse)
+    assert "delta_alpha_1_arcsec_1keV_log10m12" in halo_grid.tabulate_deflections(deflections)
     _, lens = geometry(coarse.cosmology, coarse.redshifts)
-    host, relic = 3, 4  # many subhaloes
-    sigma, alpha = density.maps[host][relic], found.maps[host][relic]
-    assert np.shape(density.maps) == np.shape(found.maps) == (4, 5, 160, 160)
+    host, relic = 3, 4  # many subhalos
+    sigma, alpha = masses[host, relic], deflections[host, relic]
+    assert masses.shape == deflections.shape == (4, 5, 160, 160)
     # along x alone alpha_1 rises by twice the excess of convergence about a subhalo: at the highest peak of Sigma
     row, column = np.unravel_index(np.argmax(sigma[20:-20, 20:-20]), (120, 120))
     row, column = row + 20, column + 20
@@ -57,7 +65,7 @@ def test_fig_2_shows_the_haloes_of_fig_1(coarse: Config, density: halos.HaloGrid
     excess = sigma[row, column] / lens.sigma_crit_msun_kpc2
     assert 0.0 < (alpha[row, column + 2] - alpha[row, column - 2]) / (4 * 0.025) < 2.0 * excess
     with house_style():
-        figure = halos.draw_deflection_grid_figure(found)
+        figure = halo_grid.draw_deflections(deflections)
     assert {ax.images[0].get_clim() for ax in figure.axes if ax.images} == {(-0.04, 0.04)}
     plt.close(figure)
 
@@ -66,7 +74,7 @@ def test_fig_2_needs_the_field_of_the_filter(paper_config: Config) -> None:
     raw = paper_config.model_dump()
     raw["halos"]["field_half_width_arcsec"] = 3.0
     with pytest.raises(ValueError, match=r"field_half_width_arcsec = 3 is too small"):
-        halos.read_deflection_grid(parse_config(raw))
+        halo_grid.read_deflections(parse_config(raw))
 
 
 def test_fig_8_holds_five_realizations_a_model(coarse: Config, tmp_path: Path) -> None:
@@ -87,9 +95,9 @@ def test_fig_8_holds_five_realizations_a_model(coarse: Config, tmp_path: Path) -
 
 def test_suppression_acts_on_each_bin() -> None:
     cold = np.zeros(MASS_BINS.size)
-    cold[:31] = 2.0  # two subhaloes of 10^9 Msun
+    cold[:31] = 2.0  # two subhalos of 10^9 Msun
     assert MASS_BINS[30] == pytest.approx(9.0)
-    halved = halos.suppressed(cold, lambda mass, _: np.where(mass > 1e9, 0.5, 1.0), 0.0)
+    halved = suppress(cold, lambda mass, _: np.where(mass > 1e9, 0.5, 1.0), 0.0)
     np.testing.assert_allclose(halved, 0.5 * cold)
-    none = halos.suppressed(cold, lambda mass, _: np.ones_like(mass), 0.0)
+    none = suppress(cold, lambda mass, _: np.ones_like(mass), 0.0)
     np.testing.assert_allclose(none, cold)

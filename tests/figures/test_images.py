@@ -4,17 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
+import pytest
+from matplotlib.figure import Figure
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
-from warmlens.figures.draw.psf import radial_profile
 from warmlens.figures.draw.style import house_style
+from warmlens.figures.halo_maps import SampleMaps, draw_deflections, draw_masses, read_masses, tabulate
 from warmlens.figures.inputs import figure_inputs
-from warmlens.figures.maps import SampleMaps, draw_halo_maps, read_halo_maps
+from warmlens.figures.psf import radial_profile
 from warmlens.figures.recipe import map_table
+from warmlens.figures.samples import Sample
 from warmlens.imaging.grid import PixelGrid
 from warmlens.products.halos import read_subhalos
 from warmlens.products.observation import read_observation
@@ -87,9 +91,9 @@ def test_deflections_are_those_of_the_artifact(campaign: Config, table_of: Table
         np.testing.assert_allclose(table[name], delta[row, 0].ravel(), rtol=1e-4, atol=1e-9)
 
 
-def test_projected_mass_is_that_of_the_subhaloes(campaign: Config) -> None:
-    """The mass in the field is at most that of the subhaloes, and peaks at one of them."""
-    data = read_halo_maps(figure_inputs(campaign, "halo_maps"))
+def test_projected_mass_is_that_of_the_subhalos(campaign: Config) -> None:
+    """The mass in the field is at most that of the subhalos, and peaks at one of them."""
+    data = read_masses(figure_inputs(campaign, "halo_maps"))
     sample, sigma = data.samples[-1], data.maps[-1]
     with open_artifact(stage_files(campaign, "halos")[0]) as artifact:
         subhalos = read_subhalos(artifact, sample.row)
@@ -102,12 +106,30 @@ def test_projected_mass_is_that_of_the_subhaloes(campaign: Config) -> None:
 
 
 def test_fewer_samples_than_panels(campaign: Config) -> None:
-    data = read_halo_maps(figure_inputs(campaign, "halo_maps"))
-    fewer = SampleMaps(data.maps[:2], data.samples[:2], data.grid, data.column)
+    data = read_masses(figure_inputs(campaign, "halo_maps"))
+    fewer = SampleMaps(data.maps[:2], data.samples[:2], data.grid, data.quantity)
     with house_style():
-        figure = draw_halo_maps(fewer)
+        figure = draw_masses(fewer)
         figure.canvas.draw()
     assert len([ax for ax in figure.axes if ax.images]) == 2
-    assert list(fewer.table().columns[2:]) == [
-        f"sample_{item.sample_id}_sigma_msun_per_kpc2" for item in data.samples[:2]
+    assert list(tabulate(fewer).columns[2:]) == [
+        f"sample_{sample.sample_id}_sigma_msun_per_kpc2" for sample in data.samples[:2]
     ]
+
+
+@pytest.mark.parametrize(("draw", "unit"), [(draw_masses, "kpc"), (draw_deflections, "arcsec")])
+def test_panels_share_a_scale_and_carry_their_titles(draw: Callable[[SampleMaps], Figure], unit: str) -> None:
+    image = np.arange(24.0).reshape(4, 6)
+    samples = tuple(Sample(number, number, 1.0 + number, 13.0) for number in range(6))
+    data = SampleMaps(tuple(image * (1 + n) for n in range(6)), samples, PixelGrid.centred((4, 6), 0.5), "")
+    with house_style():
+        figure = draw(data)
+        figure.canvas.draw()
+    *panels, bar = figure.axes
+    assert len(panels) == 6
+    for ax, sample, values in zip(panels, samples, data.maps, strict=True):
+        assert ax.get_title() == sample.label
+        np.testing.assert_array_equal(ax.images[0].get_array(), values)
+    assert len({ax.images[0].get_clim() for ax in panels}) == 1
+    assert unit in bar.get_ylabel()
+    plt.close(figure)

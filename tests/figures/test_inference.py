@@ -16,11 +16,8 @@ from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import NUMBERS
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
-from warmlens.figures.calibration import CalibrationFigure, draw_calibration
-from warmlens.figures.checks import ConvergenceFigure, PredictiveFigure, draw_convergence, draw_predictive
-from warmlens.figures.draw.bounds import BoundRow
+from warmlens.figures import calibration, convergence, likelihood, predictive
 from warmlens.figures.draw.style import house_style
-from warmlens.figures.posterior import LikelihoodFigure, draw_likelihood
 
 Tables = Callable[[str], pd.DataFrame]
 
@@ -63,9 +60,9 @@ def test_likelihood_has_the_band_the_crossings_and_every_bound(
     np.testing.assert_allclose(ratio[["b_p16", "b_p84"]].T, arrays("likelihood/band"), rtol=1e-5)
     crossings = table[table["panel"] == "crossing"]
     assert sorted(crossings["b"]) == [0.05, 0.1]
-    found = {item["ratio"]: item["m_kev"] for item in numbers["likelihood_ratio"]["falls_to"].values()}
+    masses = {entry["ratio"]: entry["m_kev"] for entry in numbers["likelihood_ratio"]["falls_to"].values()}
     for row in crossings.to_dict("records"):
-        expected = found[row["b"]]
+        expected = masses[row["b"]]
         assert (
             np.isnan(row["m_th_kev"]) if expected is None else row["m_th_kev"] == pytest.approx(expected, rel=1e-5)
         )
@@ -81,12 +78,12 @@ def test_likelihood_has_the_band_the_crossings_and_every_bound(
 def test_crossings_are_written_and_drawn_where_they_are() -> None:
     m_kev = np.linspace(1.0, 5.0, 41)
     ratio = np.exp(-8.0 / m_kev**2) / np.exp(-8.0 / 25.0)
-    crossings = np.array([[0.1, 1.75, 0.1], [0.05, np.nan, np.nan]])
-    rows = (BoundRow("headline", 2.0, 0.1, 1.2), BoundRow("refused", np.nan, np.nan, np.nan))
+    curve = pd.DataFrame({"m_th_kev": m_kev, "b": ratio, "b_p16": 0.8 * ratio, "b_p84": 1.2 * ratio})
+    crossing = {"b": [0.1, 0.05], "m_th_kev": [1.75, np.nan], "mc_error_kev": [0.1, np.nan]}
+    columns = ["name", "bound_kev", "mc_error_kev", "prior_only_kev"]
+    bounds = pd.DataFrame([("headline", 2.0, 0.1, 1.2), ("refused", np.nan, np.nan, np.nan)], columns=columns)
     with house_style():
-        figure = draw_likelihood(
-            LikelihoodFigure(m_kev, ratio, np.stack([0.8 * ratio, 1.2 * ratio]), crossings, rows)
-        )
+        figure = likelihood.draw({"likelihood ratio": curve, "crossing": pd.DataFrame(crossing), "bound": bounds})
         figure.canvas.draw()
     left, right = figure.axes
     assert [text.get_text().strip() for text in left.texts] == ["1/10: 1.75 $\\pm$ 0.10 keV", "1/20: not reached"]
@@ -99,12 +96,12 @@ def test_coverage_is_that_of_the_json(
     table_of: Tables, numbers: dict[str, Any], arrays: Callable[[str], np.ndarray]
 ) -> None:
     table = table_of("calibration")
-    found = numbers["calibration"]
+    measured = numbers["calibration"]
     coverage = table[table["panel"] == "coverage"].set_index("true_m_th")
     assert list(coverage.index) == ["all", "below 2 keV", "2 to 3 keV", "above 3 keV"]
     for name, expected in {
-        "all": found["coverage"][numbers["headline"]],
-        **found["coverage_by_true_mass"],
+        "all": measured["coverage"][numbers["headline"]],
+        **measured["coverage_by_true_mass"],
     }.items():
         for column in ("n", "n_covered", "fraction", "low", "high", "nominal"):
             assert coverage.loc[name, column] == pytest.approx(expected[column], rel=1e-5)
@@ -127,12 +124,21 @@ def test_trials_whose_truth_is_excluded_stand_out() -> None:
             for name, n in (("all", 4), ("below 2 keV", 0))
         ]
     )
-    grid = np.linspace(0.1, 0.9, 5)
-    ranks = dict.fromkeys(("m_th_kev", "log10_m_halo_msun"), np.stack([grid, grid, grid - 0.3, grid + 0.3]))
-    truth, bound = np.array([1.0, 2.0, 3.0, 5.0]), np.array([1.5, 1.2, np.nan, 1.4])
-    data = CalibrationFigure(coverage, ranks, np.arange(4), truth, bound, 1.3, (1.1, 1.2, 1.4), (1.0, 1.1, 1.3))
+    rank = pd.DataFrame(
+        {"rank": np.linspace(0.1, 0.9, 5), "ecdf_minus_rank": 0.0, "band_low": -0.3, "band_high": 0.3}
+    )
+    trials = {"true_m_th_kev": [1.0, 2.0, 3.0, 5.0], "bound_kev": [1.5, 1.2, np.nan, 1.4]}
+    panels = {
+        "coverage": coverage,
+        "ranks of m_th_kev": rank,
+        "ranks of log10_m_halo_msun": rank,
+        "trials": pd.DataFrame(trials),
+        "observation": pd.DataFrame({"bound_kev": [1.3]}),
+        "expected of cold truths": pd.DataFrame({"bound_kev": [1.1, 1.2, 1.4]}),
+        "null test": pd.DataFrame({"bound_kev": [1.0, 1.1, 1.3]}),
+    }
     with house_style():
-        figure = draw_calibration(data)
+        figure = calibration.draw(panels)
         figure.canvas.draw()
     kept, missed = figure.axes[2].collections
     np.testing.assert_array_equal(kept.get_offsets(), [[2.0, 1.2], [5.0, 1.4]])
@@ -140,8 +146,6 @@ def test_trials_whose_truth_is_excluded_stand_out() -> None:
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["all\n(4)"]
     spans = [(patch.get_y(), patch.get_y() + patch.get_height()) for patch in figure.axes[2].patches]
     np.testing.assert_allclose(spans, [(1.1, 1.4), (1.0, 1.3)])
-    table = data.table()
-    assert table.loc[table["panel"] == "null test", "bound_kev"].tolist() == [1.0, 1.1, 1.3]
     plt.close(figure)
 
 
@@ -163,10 +167,13 @@ def test_both_bounds_are_drawn_with_their_errors() -> None:
             "raw_error_kev": [0.1, 0.1, 0.2],
             "adjusted_kev": [2.0, 2.1, np.nan],
             "adjusted_error_kev": [0.1, 0.1, np.nan],
+            "of_the_inference": [0, 1, 0],
+            "prior_only_kev": 1.2,
+            "verdict": "converged",
         }
     )
     with house_style():
-        figure = draw_convergence(ConvergenceFigure(steps, 0.1, 1.2, "converged"))
+        figure = convergence.draw(steps)
         figure.canvas.draw()
     raw, adjusted = figure.axes[0].containers
     np.testing.assert_array_equal(raw[0].get_ydata(), steps["raw_kev"])
@@ -192,15 +199,12 @@ def test_predictive_has_the_quantiles_on_the_grids_of_the_summaries(
 
 
 def test_predictive_bands_are_named_and_drawn_in_order() -> None:
-    grids = {"correlation": np.array([0.0, 1.0]), "cumulative": np.array([-40.0, -4.0])}
-    quantiles = {kind: np.array([[1.0], [2.0], [3.0], [4.0], [5.0]]) * np.ones(2) for kind in grids}
-    data = PredictiveFigure(
-        grids, quantiles, dict.fromkeys(grids, np.array([3.0, 6.0])), dict.fromkeys(grids, 0.5)
-    )
-    for name, value in zip(("p025", "p16", "p50", "p84", "p975"), range(1, 6), strict=True):
-        assert set(data.table()[name]) == {value}
+    panels = {}
+    for kind, column, grid in (("correlation", "dr_arcsec", [0.0, 1.0]), ("cumulative", "delta_r", [-40.0, -4.0])):
+        bands = dict(zip(predictive.QUANTILES, range(1, 6), strict=True))
+        panels[kind] = pd.DataFrame({column: grid, "observed": [3.0, 6.0], **bands, "p_value": 0.5})
     with house_style():
-        figure = draw_predictive(data)
+        figure = predictive.draw(panels)
         figure.canvas.draw()
     for ax in figure.axes:
         reach = [band.get_paths()[0].vertices[:, 1] for band in ax.collections]

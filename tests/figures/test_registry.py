@@ -42,9 +42,9 @@ def test_inputs_are_those_of_the_layout(campaign: Config) -> None:
     assert figure_inputs(campaign, "mocks") == {
         stage: stage_files(campaign, stage)[0] for stage in ("observation", "smooth_model", "mocks")
     }
-    found = find_inputs("4", [Path(campaign.results)])
-    assert found["summaries/1"] == stage_files(campaign, "summaries")[1]
-    assert len(found) == 3
+    inputs = find_inputs("4", [Path(campaign.results)])
+    assert inputs["summaries/1"] == stage_files(campaign, "summaries")[1]
+    assert len(inputs) == 3
 
 
 def test_a_missing_artifact_is_named_with_the_command_that_makes_it(campaign: Config, tmp_path: Path) -> None:
@@ -83,22 +83,21 @@ def test_the_command_line_takes_results_or_artifacts(campaign: Config, tmp_path:
     assert (tmp_path / "0.csv").read_text() == (tmp_path / "1.csv").read_text()
 
 
-class _Data:
-    def table(self) -> pd.DataFrame:
-        return pd.DataFrame({"a": [1.0, 1.0 / 3.0]})
+def _read(source: list[float]) -> pd.DataFrame:
+    return pd.DataFrame({"a": source})
 
 
 def test_a_figure_that_fails_leaves_nothing(tmp_path: Path) -> None:
-    def fail(data: _Data) -> Figure:
+    def fail(data: pd.DataFrame) -> Figure:
         raise ValueError("cannot")
 
     with pytest.raises(ValueError, match="cannot"):
-        Recipe(lambda source: _Data(), fail).write(None, tmp_path / "a.png")
+        Recipe(_read, fail, pd.DataFrame).write([1.0], tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
 
 
 def test_picture_and_data_lie_beside_each_other(tmp_path: Path) -> None:
-    Recipe(lambda source: _Data(), lambda data: Figure()).write(None, tmp_path / "a.pdf")
+    Recipe(_read, lambda data: Figure(), pd.DataFrame).write([1.0, 1.0 / 3.0], tmp_path / "a.pdf")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "a.pdf"]
     assert (tmp_path / "a.pdf").read_bytes().startswith(b"%PDF")
     assert (tmp_path / "a.csv").read_text() == "a\n1\n0.333333\n"

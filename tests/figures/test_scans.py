@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 import pytest
@@ -14,9 +15,11 @@ from warmlens.artifacts.names import CONFIG
 from warmlens.campaign.files import stage_files
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
+from warmlens.figures.delta_r import heavy_and_light
+from warmlens.figures.draw.style import house_style
 from warmlens.figures.inputs import find_inputs
-from warmlens.figures.planes import read_lens_planes, read_source_planes
-from warmlens.figures.samples import heavy_and_light, warm_to_cold
+from warmlens.figures.samples import warm_to_cold
+from warmlens.figures.scan_plane import draw, read_lenses, read_sources
 
 BANDS = ("F814W", "F555W")
 
@@ -55,7 +58,7 @@ def test_fig_3_shows_cold_samples_of_a_heavy_and_a_light_halo(
     campaign: Config, table_of: Callable[[str], pd.DataFrame]
 ) -> None:
     files = stage_files(campaign, "scans")
-    (heavy_path, heavy), (light_path, light) = heavy_and_light(files, "scans")
+    (heavy_path, heavy), (light_path, light) = heavy_and_light(files)
     names = ("m_th_kev", "log10_m_halo_msun")
     tables = []
     for path in files:
@@ -78,9 +81,9 @@ def test_samples_go_from_warm_to_cold(campaign: Config) -> None:
     with open_artifact(stage_files(campaign, "scans")[1]) as artifact:
         samples = warm_to_cold(artifact)
         m_th = artifact.array("samples/m_th_kev")
-    assert [item.m_th_kev for item in samples] == sorted(item.m_th_kev for item in samples)
+    assert [sample.m_th_kev for sample in samples] == sorted(sample.m_th_kev for sample in samples)
     assert (samples[0].m_th_kev, samples[-1].m_th_kev) == (m_th.min(), m_th.max())
-    assert len({item.sample_id for item in samples}) == 6
+    assert len({sample.sample_id for sample in samples}) == 6
     assert samples[0].sample_id == 20 + samples[0].row
 
 
@@ -124,7 +127,7 @@ def test_several_campaigns_are_compared_without_mocks(campaign: Config, tmp_path
     inputs = find_inputs("6", [Path(campaign.results), other])
     assert set(inputs) == {f"{number}/{stage}" for number in (0, 1) for stage in ("observed_scan", "smooth_model")}
     names = [f"21 lens shapelets ({folder})" for folder in (Path(campaign.results).name, "other")]
-    assert list(read_lens_planes(inputs).scans) == names
+    assert list(read_lenses(inputs)) == names
 
 
 def test_without_residual_samples_the_key_is_named(
@@ -138,7 +141,7 @@ def test_without_residual_samples_the_key_is_named(
     (tmp_path / CONFIG).write_text(parse_config(raw).model_dump_json())
     with caplog.at_level("INFO"):
         inputs = find_inputs("7", [tmp_path])
-    assert len(read_source_planes(inputs).scans) == 1
+    assert len(read_sources(inputs)) == 1
     assert "scan.residual_samples" in caplog.text
 
 
@@ -147,4 +150,29 @@ def test_residual_samples_that_all_failed(campaign: Config, tmp_path: Path) -> N
     write_artifact(path, Provenance("scans", {}), {}, {"bands": list(BANDS)})
     inputs = find_inputs("6", [Path(campaign.results)])
     with pytest.raises(ArtifactError, match=r"samples of scan\.residual_samples have all failed"):
-        read_lens_planes({key: path if key.startswith("0/scans") else found for key, found in inputs.items()})
+        read_lenses({key: path if key.startswith("0/scans") else other for key, other in inputs.items()})
+
+
+def test_plane_has_every_position_once_in_each_panel() -> None:
+    rng = np.random.default_rng(1)
+    scans = {
+        "F814W": pd.DataFrame({"delta_r": rng.normal(0.0, 20.0, 300), "r_sens": rng.lognormal(0.0, 1.0, 300)}),
+        "F555W": pd.DataFrame({"delta_r": rng.normal(3.0, 2.0, 200), "r_sens": rng.lognormal(1.0, 1.0, 200)}),
+    }
+    with house_style():
+        figure = draw(scans)
+    top, plane, right = figure.axes
+    for collection, scan in zip(plane.collections, scans.values(), strict=True):
+        np.testing.assert_array_equal(collection.get_offsets(), scan)
+    for ax, axis in ((top, 1), (right, 0)):
+        # A step outline of counts: each bin appears twice, so that its sum is twice the number of positions.
+        counts = [patch.get_xy()[:, axis].sum() for patch in ax.patches]
+        assert counts == [pytest.approx(2 * 300, abs=1e-9), pytest.approx(2 * 200, abs=1e-9)]
+    assert plane.get_legend_handles_labels()[1][:2] == ["F814W", "F555W"]
+    assert plane.get_legend() is None  # it would hide positions
+    colours = [tuple(collection.get_facecolor()[0][:3]) for collection in plane.collections]
+    assert colours[0] != colours[1]
+    up, down = (line.get_xydata() for line in plane.lines)
+    np.testing.assert_allclose(up[:, 0], up[:, 1])
+    np.testing.assert_allclose(down[:, 0], -down[:, 1])
+    plt.close(figure)

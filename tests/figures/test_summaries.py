@@ -14,16 +14,9 @@ import pytest
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
+from warmlens.figures import correlation_by_halo, samples
 from warmlens.figures.draw.style import house_style
 from warmlens.figures.inputs import figure_inputs
-from warmlens.figures.samples import group_values
-from warmlens.figures.summaries import (
-    SummariesFigure,
-    draw_paper_correlations,
-    group_samples,
-    read_paper_correlations,
-    read_summaries,
-)
 
 
 @pytest.fixture(scope="module")
@@ -61,14 +54,14 @@ def test_terciles_have_the_means_of_their_samples(
 def test_panels_of_fig_4_hold_exactly_the_samples_of_their_halo_masses(
     campaign: Config, every: dict[str, np.ndarray]
 ) -> None:
-    figure = read_paper_correlations(figure_inputs(campaign, "4"))
+    figure = correlation_by_halo.read(figure_inputs(campaign, "4"))
     log10_mass, m_th = every["log10_m_halo_msun"], every["m_th_kev"]
     assert len(figure.panels) == len(figure.models) == 4
     for panel in figure.panels:
-        inside = (log10_mass >= panel.halos.low) & (log10_mass <= panel.halos.high)
-        members = np.concatenate([rows for _, rows in panel.models])
-        assert sorted(members) == np.flatnonzero(inside).tolist() == panel.halos.rows.tolist()
-        for model, rows in panel.models:
+        inside = (log10_mass >= panel.low) & (log10_mass <= panel.high)
+        members = np.concatenate([rows for _, rows in figure.members(panel)])
+        assert sorted(members) == np.flatnonzero(inside).tolist() == panel.rows.tolist()
+        for model, rows in figure.members(panel):
             group = figure.models[model]
             assert ((m_th[rows] >= group.low) & (m_th[rows] <= group.high)).all()
 
@@ -91,43 +84,42 @@ def test_table_of_fig_4_has_means_and_single_samples(
 
 def test_a_grid_is_grouped_by_its_nodes(campaign: Config) -> None:
     """As a grid campaign of 2 halo masses and 5 relics has it; a group too many would split a node."""
-    data = read_summaries(figure_inputs(campaign, "4"))
-    n = len(data.sample_id)
+    data = samples.read_summaries(figure_inputs(campaign, "4"))
+    n = len(data.parameters)
     halo, relic = np.divmod(np.arange(n) % 10, 5)
-    grid = replace(data, m_th_kev=np.array([1.0, 2.0, 3.3, 5.0, 10.0])[relic], log10_m_halo_msun=12.0 + halo)
-    figure = group_samples(grid)
-    assert [(panel.halos.low, panel.halos.high) for panel in figure.panels] == [(12.0, 12.0), (13.0, 13.0)]
+    relics_kev = np.array([1.0, 2.0, 3.3, 5.0, 10.0])
+    grid = data.parameters.assign(m_th_kev=relics_kev[relic], log10_m_halo_msun=12.0 + halo)
+    figure = correlation_by_halo.group_summaries(replace(data, parameters=grid))
+    assert [(panel.low, panel.high) for panel in figure.panels] == [(12.0, 12.0), (13.0, 13.0)]
     assert [group.low for group in figure.models] == [1.0, 2.0, 3.3, 5.0, 10.0]
     for number, panel in enumerate(figure.panels):
-        for model, rows in panel.models:
+        for model, rows in figure.members(panel):
             assert rows.tolist() == np.flatnonzero((halo == number) & (relic == model)).tolist()
     with house_style():
-        drawn = draw_paper_correlations(figure)
+        drawn = correlation_by_halo.draw(figure)
     titles = [ax.get_title() for ax in drawn.axes]
     assert ["= 12, 20 samples" in titles[0], "= 13, 20 samples" in titles[1], len(titles)] == [True, True, 2]
     plt.close(drawn)
 
 
 def test_groups_are_nodes_or_ranges() -> None:
-    nodes = group_values(np.array([2.0, 1.0, 2.0, np.inf]), 4)
+    nodes = correlation_by_halo.group_values(np.array([2.0, 1.0, 2.0, np.inf]), 4)
     assert [(group.low, group.rows.tolist()) for group in nodes] == [(1.0, [1]), (2.0, [0, 2]), (np.inf, [3])]
     values = np.random.default_rng(0).random(50)
-    ranges = group_values(values, 4)
+    ranges = correlation_by_halo.group_values(values, 4)
     assert [group.rows.size for group in ranges] == [13, 13, 12, 12]
     assert all(low.high <= high.low for low, high in pairwise(ranges))
 
 
 def test_too_few_samples_are_refused(campaign: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("warmlens.figures.summaries.N_TERCILES", 41)
+    monkeypatch.setattr(samples, "MIN_TO_GROUP", 41)
     with pytest.raises(ArtifactError, match="40 samples are left, fewer than 41"):
-        read_summaries(figure_inputs(campaign, "correlation"))
+        samples.read_summaries(figure_inputs(campaign, "correlation"))
 
 
 def test_failed_samples_are_left_out(campaign: Config, monkeypatch: pytest.MonkeyPatch) -> None:
-    import warmlens.figures.summaries as module
-
-    read = module.read_samples
-    monkeypatch.setattr(module, "read_samples", lambda artifact: read(artifact).drop(index=[0, 4]))
-    data: SummariesFigure = read_summaries(figure_inputs(campaign, "correlation"))
-    assert data.sample_id.tolist() == [i for i in range(40) if i % 20 not in (0, 4)]
+    read = samples.read_samples
+    monkeypatch.setattr(samples, "read_samples", lambda artifact: read(artifact).drop(index=[0, 4]))
+    data = samples.read_summaries(figure_inputs(campaign, "correlation"))
+    assert data.parameters["sample_id"].tolist() == [i for i in range(40) if i % 20 not in (0, 4)]
     assert all(len(values) == 36 for values in data.samples.values())

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 
 from warmlens.artifacts.chain import check_chains
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
 from warmlens.artifacts.names import FIGURE_GROUPS, SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.snakemake import remaking_command
@@ -18,7 +19,7 @@ log = logging.getLogger(__name__)
 
 Inputs = Mapping[str, Path]
 
-# A stage with one artifact by its name; of a chunked stage the first chunk, or with "/*" all of them.
+# Stages by name; of a chunked stage its first chunk, or all of them with "/*".
 NEEDED: dict[str, tuple[str, ...]] = {
     "smooth_model": ("observation", "smooth_model"),
     "psf": ("observation", "smooth_model"),
@@ -38,11 +39,11 @@ NEEDED: dict[str, tuple[str, ...]] = {
     "4": ("observed_summary", "summaries/*"),
     "5": ("abc",),
 }
-_PLANE = ("observed_scan", "smooth_model")  # of every campaign that is compared
+_PLANE = ("observed_scan", "smooth_model")  # of every campaign that Figs. 6 and 7 compare
 
 
 def drawn_groups(config: Config) -> dict[str, list[str]]:
-    """Figures that a campaign draws, those whose stages it has, by the job that draws them."""
+    """Return the figures for which a campaign has the stages, by the job that draws them."""
     stages = campaign_stages(config)
     groups = {
         group: [name for name in names if all(need.removesuffix("/*") in stages for need in NEEDED[name])]
@@ -52,33 +53,33 @@ def drawn_groups(config: Config) -> dict[str, list[str]]:
 
 
 def drawn_figures(config: Config) -> list[str]:
-    """Names of all figures that a campaign draws."""
+    """Return the names of all figures that a campaign draws."""
     return [name for names in drawn_groups(config).values() for name in names]
 
 
 def figure_inputs(config: Config, name: str) -> dict[str, Path]:
-    """Artifacts of figure `name` of a campaign by stage; "STAGE/i" where it needs all chunks of a stage."""
-    return _located(config, NEEDED[name])
+    """Return the artifacts of a figure of a campaign by stage; by "STAGE/i" if it needs all chunks of it."""
+    return _paths(config, NEEDED[name])
 
 
 def find_inputs(name: str, results: Sequence[Path]) -> dict[str, Path]:
-    """Artifacts of figure `name` in results folders; Figs. 6 and 7 compare several, the others show one.
+    """Return the artifacts of a figure in results folders; Figs. 6 and 7 compare several, the others show one.
 
     Raises
     ------
     ArtifactError
-        If one is missing, with the command that makes it; if one was not made with the settings of its campaign.
+        If one is missing, with the command that makes it, or was not made with the settings of its campaign.
     """
     from warmlens.campaign.status import read_campaign
 
     if name in ("6", "7"):
-        found: dict[str, Path] = {}
+        compared: dict[str, Path] = {}
         for number, folder in enumerate(results):
             config = read_campaign(folder)
-            here = _located(config, (*_PLANE, "scans/*") if _shows_mocks(config, len(results)) else _PLANE)
-            _check(here, folder, config)
-            found |= {f"{number}/{key}": path for key, path in here.items()}
-        return found
+            inputs = _paths(config, (*_PLANE, "scans/*") if _shows_mocks(config, len(results)) else _PLANE)
+            _check(inputs, folder, config)
+            compared |= {f"{number}/{key}": path for key, path in inputs.items()}
+        return compared
     if len(results) != 1:
         raise ArtifactError(f"figure {name} shows one campaign; give one --results, not {len(results)}")
     config = read_campaign(results[0])
@@ -87,20 +88,43 @@ def find_inputs(name: str, results: Sequence[Path]) -> dict[str, Path]:
     return inputs
 
 
-def _located(config: Config, needed: Sequence[str]) -> dict[str, Path]:
-    found: dict[str, Path] = {}
+def input_path(inputs: Inputs, key: str) -> Path:
+    """Return the path of an input, or raise an error that says how it is given."""
+    if key not in inputs:
+        raise ArtifactError(
+            f"the figure needs the artifact {key!r}; give --artifact {key}=PATH, or --results with the folder of "
+            f"the campaign; given: {', '.join(inputs) or 'none'}"
+        )
+    return inputs[key]
+
+
+def open_input(inputs: Inputs, stage: str) -> AbstractContextManager[Artifact]:
+    """Open the one artifact of a stage that a figure needs."""
+    return open_artifact(input_path(inputs, stage), stage)
+
+
+def chunk_paths(inputs: Inputs, stage: str) -> list[Path]:
+    """Return the paths of all chunks of a stage, in the order of their numbers."""
+    keys = [key for key in inputs if key.startswith(f"{stage}/")]
+    if not keys:
+        return [input_path(inputs, f"{stage}/0")]
+    return [inputs[key] for key in sorted(keys, key=lambda key: int(key.removeprefix(f"{stage}/")))]
+
+
+def _paths(config: Config, needed: Sequence[str]) -> dict[str, Path]:
+    paths: dict[str, Path] = {}
     for need in needed:
         stage = need.removesuffix("/*")
         files = stage_files(config, stage)
         if stage in SINGLE or stage == need:
-            found[stage] = files[0]
+            paths[stage] = files[0]
         else:
-            found |= {f"{stage}/{number}": path for number, path in enumerate(files)}
-    return found
+            paths |= {f"{stage}/{number}": path for number, path in enumerate(files)}
+    return paths
 
 
 def _shows_mocks(config: Config, n_campaigns: int) -> bool:
-    """Whether a plane shows mocks beside the observation: of a single campaign, if R_sens was asked for."""
+    """Return whether a plane shows mocks with the observation: of a single campaign with R_sens of mocks."""
     if n_campaigns > 1:
         return False
     if not config.scan.residual_samples:

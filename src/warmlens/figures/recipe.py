@@ -1,56 +1,41 @@
-"""How a figure is made: read its data from artifacts, draw them, write the picture and the data beside it."""
+"""How a figure is made: read its data, draw them, write the picture with the data as a table beside it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from warmlens.artifacts.file import ArtifactError, atomic_path
+from warmlens.artifacts.file import atomic_path
+from warmlens.figures.draw.style import house_style
 from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray
 
 _DIGITS = "%.6g"
 
-
-class Tabular(Protocol):
-    """Data of a figure that can be written as a table."""
-
-    def table(self) -> pd.DataFrame:
-        """What the figure shows, units in the names of the columns; what does not apply is empty."""
-        ...
-
-
-DataT = TypeVar("DataT", bound=Tabular)
+DataT = TypeVar("DataT")
 SourceT = TypeVar("SourceT")
 
 
 @dataclass(frozen=True)
 class Recipe(Generic[SourceT, DataT]):
-    """A figure: what it reads of its source (artifacts, or a configuration), and how that is drawn."""
+    """The three steps of a figure: read its data from artifacts or a configuration, draw them, tabulate them.
+
+    The table has the units in the names of its columns; what does not apply is empty.
+    """
 
     read: Callable[[SourceT], DataT]
     draw: Callable[[DataT], Figure]
+    tabulate: Callable[[DataT], pd.DataFrame]
 
     def write(self, source: SourceT, output: Path) -> None:
-        """Write the picture, and its data as CSV beside it.
-
-        Parameters
-        ----------
-        source
-            What `read` takes.
-        output
-            Path of the picture; the ending says its format: .png, .pdf or .svg.
-        """
-        import matplotlib.pyplot as plt
-
-        from warmlens.figures.draw.style import house_style
-
+        """Write the picture as .png, .pdf or .svg, and its data as CSV beside it."""
         kind = output.suffix.removeprefix(".")
         if kind not in ("png", "pdf", "svg"):
             raise ValueError(f"output {output} must end in .png, .pdf or .svg")
@@ -58,14 +43,14 @@ class Recipe(Generic[SourceT, DataT]):
             data = self.read(source)
             figure = self.draw(data)
             with atomic_path(output.with_suffix(".csv")) as temporary:
-                data.table().to_csv(temporary, index=False, float_format=_DIGITS)
+                self.tabulate(data).to_csv(temporary, index=False, float_format=_DIGITS)
             with atomic_path(output) as temporary:
                 figure.savefig(temporary, format=kind)
             plt.close(figure)
 
 
 def map_table(grid: PixelGrid, columns: Mapping[str, FloatArray]) -> pd.DataFrame:
-    """Maps [ny, nx] on one grid as columns beside the positions x, y [arcsec] of the pixels.
+    """Return maps [ny, nx] on one grid as columns, with the positions x, y [arcsec] of the pixels first.
 
     Pixels at which every map is NaN are left out.
     """
@@ -75,27 +60,7 @@ def map_table(grid: PixelGrid, columns: Mapping[str, FloatArray]) -> pd.DataFram
     return pd.concat([table, values], axis=1)[values.notna().any(axis=1)].reset_index(drop=True)
 
 
-def panel_table(panels: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
-    """Tables of the panels of one figure one below the other, the name of the panel first."""
-    frames = []
-    for name, frame in panels.items():
-        frames.append(frame.assign(panel=name)[["panel", *frame.columns]])
+def panel_table(panels: Mapping[str, pd.DataFrame], column: str = "panel") -> pd.DataFrame:
+    """Return the tables of several panels as one, the name of the panel in the first column."""
+    frames = [frame.assign(**{column: name})[[column, *frame.columns]] for name, frame in panels.items()]
     return pd.concat(frames, ignore_index=True)
-
-
-def needed(inputs: Mapping[str, Path], key: str) -> Path:
-    """Path of an input, or an error that says how it is given."""
-    if key not in inputs:
-        raise ArtifactError(
-            f"the figure needs the artifact {key!r}; give --artifact {key}=PATH, or --results with the folder of "
-            f"the campaign; given: {', '.join(inputs) or 'none'}"
-        )
-    return inputs[key]
-
-
-def all_of(inputs: Mapping[str, Path], stage: str) -> list[Path]:
-    """Paths of all chunks of a stage, in the order of their numbers."""
-    keys = [key for key in inputs if key.startswith(f"{stage}/")]
-    if not keys:
-        return [needed(inputs, f"{stage}/0")]
-    return [inputs[key] for key in sorted(keys, key=lambda key: int(key.removeprefix(f"{stage}/")))]

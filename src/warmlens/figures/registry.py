@@ -11,50 +11,71 @@ import matplotlib as mpl
 
 mpl.use("agg")
 
+import pandas as pd
+
 from warmlens.artifacts.file import ArtifactError
 from warmlens.config.model import Config
-from warmlens.figures import calibration, checks, halos, maps, planes, posterior, scans, smooth, summaries
+from warmlens.figures import (
+    calibration,
+    convergence,
+    correlation,
+    correlation_by_halo,
+    cumulative_functions,
+    delta_r,
+    halo_grid,
+    halo_maps,
+    information,
+    likelihood,
+    mocks,
+    posterior,
+    predictive,
+    psf,
+    scan_plane,
+    smooth_model,
+)
 from warmlens.figures.inputs import Inputs, find_inputs
-from warmlens.figures.recipe import Recipe
+from warmlens.figures.recipe import Recipe, panel_table
 
-logging.getLogger("fontTools").setLevel(logging.WARNING)  # tells of every glyph of a PDF
+logging.getLogger("fontTools").setLevel(logging.WARNING)  # it reports every glyph of a PDF
 
+# What is read as a DataFrame, or as one per panel, needs no `tabulate` of its own.
 FROM_ARTIFACTS: dict[str, Recipe[Inputs, Any]] = {
-    "smooth_model": Recipe(smooth.read_smooth_model_figure, smooth.draw_smooth_model_figure),
-    "psf": Recipe(smooth.read_psf_figure, smooth.draw_psf_figure),
-    "halo_maps": Recipe(maps.read_halo_maps, maps.draw_halo_maps),
-    "deflection_maps": Recipe(maps.read_deflection_maps, maps.draw_deflection_maps),
-    "mocks": Recipe(smooth.read_mocks_figure, smooth.draw_mocks_figure),
-    "delta_r": Recipe(scans.read_delta_r, scans.draw_scan_figure),
-    "scan_plane": Recipe(planes.read_scan_plane, planes.draw_plane_figure),
-    "correlation": Recipe(summaries.read_summaries, summaries.draw_summaries),
-    "posterior": Recipe(posterior.read_posterior, posterior.draw_posterior),
-    "likelihood": Recipe(posterior.read_likelihood, posterior.draw_likelihood),
-    "calibration": Recipe(calibration.read_calibration, calibration.draw_calibration),
-    "convergence": Recipe(checks.read_convergence, checks.draw_convergence),
-    "predictive": Recipe(checks.read_predictive, checks.draw_predictive),
-    "information": Recipe(checks.read_information, checks.draw_information),
-    "3": Recipe(scans.read_paper_delta_r, scans.draw_scan_figure),
-    "4": Recipe(summaries.read_paper_correlations, summaries.draw_paper_correlations),
-    "5": Recipe(posterior.read_posterior, posterior.draw_posterior),
-    "6": Recipe(planes.read_lens_planes, planes.draw_plane_figure),
-    "7": Recipe(planes.read_source_planes, planes.draw_plane_figure),
+    "smooth_model": Recipe(smooth_model.read, smooth_model.draw, smooth_model.tabulate),
+    "psf": Recipe(psf.read, psf.draw, psf.tabulate),
+    "halo_maps": Recipe(halo_maps.read_masses, halo_maps.draw_masses, halo_maps.tabulate),
+    "deflection_maps": Recipe(halo_maps.read_deflections, halo_maps.draw_deflections, halo_maps.tabulate),
+    "mocks": Recipe(mocks.read, mocks.draw, mocks.tabulate),
+    "delta_r": Recipe(delta_r.read, delta_r.draw, delta_r.tabulate),
+    "scan_plane": Recipe(scan_plane.read_bands, scan_plane.draw, scan_plane.tabulate),
+    "correlation": Recipe(correlation.read, correlation.draw, correlation.tabulate),
+    "posterior": Recipe(posterior.read, posterior.draw, posterior.tabulate),
+    "likelihood": Recipe(likelihood.read, likelihood.draw, panel_table),
+    "calibration": Recipe(calibration.read, calibration.draw, panel_table),
+    "convergence": Recipe(convergence.read, convergence.draw, convergence.tabulate),
+    "predictive": Recipe(predictive.read, predictive.draw, panel_table),
+    "information": Recipe(information.read, information.draw, pd.DataFrame),
+    "3": Recipe(delta_r.read_heavy_and_light, delta_r.draw, delta_r.tabulate),
+    "4": Recipe(correlation_by_halo.read, correlation_by_halo.draw, correlation_by_halo.tabulate),
+    "5": Recipe(posterior.read, posterior.draw, posterior.tabulate),
+    "6": Recipe(scan_plane.read_lenses, scan_plane.draw, scan_plane.tabulate),
+    "7": Recipe(scan_plane.read_sources, scan_plane.draw, scan_plane.tabulate),
 }
 FROM_CONFIG: dict[str, Recipe[Config, Any]] = {
-    "1": Recipe(halos.read_halo_grid, halos.draw_halo_grid_figure),
-    "2": Recipe(halos.read_deflection_grid, halos.draw_deflection_grid_figure),
-    "8": Recipe(halos.read_cumulative_functions, halos.draw_cumulative_figure),
+    "1": Recipe(halo_grid.read_masses, halo_grid.draw_masses, halo_grid.tabulate_masses),
+    "2": Recipe(halo_grid.read_deflections, halo_grid.draw_deflections, halo_grid.tabulate_deflections),
+    "8": Recipe(cumulative_functions.read, cumulative_functions.draw, panel_table),
 }
 
 
 def write_from_artifacts(name: str, inputs: Inputs, output: Path) -> None:
     """Write a figure of given artifacts and its data."""
-    FROM_ARTIFACTS[_known(name)].write(inputs, output)
+    _recipe(name).write(inputs, output)
 
 
 def write_from_results(name: str, results: Sequence[Path], output: Path) -> None:
     """Write a figure of one campaign (Figs. 6 and 7: of several) and its data."""
-    FROM_ARTIFACTS[_known(name)].write(find_inputs(name, results), output)
+    recipe = _recipe(name)
+    recipe.write(find_inputs(name, results), output)
 
 
 def write_from_config(name: str, config: Config, output: Path) -> None:
@@ -62,8 +83,8 @@ def write_from_config(name: str, config: Config, output: Path) -> None:
     FROM_CONFIG[name].write(config, output)
 
 
-def _known(name: str) -> str:
+def _recipe(name: str) -> Recipe[Inputs, Any]:
     if name not in FROM_ARTIFACTS:
         names = ", ".join([*FROM_ARTIFACTS, *FROM_CONFIG])
         raise ArtifactError(f"there is no figure {name!r}; the figures are {names}")
-    return name
+    return FROM_ARTIFACTS[name]

@@ -13,10 +13,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from warmlens.figures.draw.halo_functions import draw_cumulative_functions
-from warmlens.figures.draw.halo_maps import draw_halo_map
 from warmlens.figures.draw.sample import draw_summary, mark_subhalos
 from warmlens.figures.draw.scan import draw_scan_row
-from warmlens.figures.draw.sky import add_colour_bar, draw_diverging, draw_image
+from warmlens.figures.draw.sky import add_colour_bar, draw_diverging, draw_halo_map, draw_image
 from warmlens.figures.draw.style import FULL_WIDTH_INCH, house_style
 from warmlens.imaging.grid import PixelGrid
 from warmlens.lensing.substructure import convergence_map

@@ -24,7 +24,7 @@ def test_summary_shows_sample_and_observation_over_the_accepted() -> None:
     assert "this sample" not in {line.get_label() for line in ax.lines}
 
 
-def test_heaviest_subhaloes_are_circled_by_mass() -> None:
+def test_heaviest_subhalos_are_circled_by_mass() -> None:
     rng = np.random.default_rng(3)
     mass = rng.permutation(np.geomspace(1e7, 1e10, 2 * MARKED))
     x, y = rng.uniform(-2.0, 2.0, (2, mass.size))

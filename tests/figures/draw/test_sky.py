@@ -1,21 +1,18 @@
 from __future__ import annotations
 
-from functools import partial
-
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.colors import AsinhNorm, LogNorm
 
-from warmlens.figures.draw.halo_maps import (
+from warmlens.figures.draw.sky import (
+    add_colour_bar,
+    brightness_limits,
     density_limits,
-    draw_deflection_panels,
-    draw_halo_grid,
+    draw_compass,
+    draw_diverging,
     draw_halo_map,
-    draw_halo_panels,
+    draw_image,
 )
-from warmlens.figures.draw.sky import add_colour_bar, draw_compass, draw_diverging, draw_image
-from warmlens.figures.draw.style import house_style
 from warmlens.imaging.grid import PixelGrid
 
 GRID = PixelGrid.centred((4, 6), 0.5, x=1.0)
@@ -136,39 +133,9 @@ def test_halo_map_spans_three_decades(panel):
         density_limits([np.zeros((4, 6))])
 
 
-@pytest.mark.parametrize(
-    ("draw", "unit"),
-    [(draw_halo_panels, "kpc"), (partial(draw_deflection_panels, limit_arcsec=30.0), "arcsec")],
-)
-def test_panels_share_a_scale_and_carry_their_titles(draw, unit):
-    maps = [IMAGE * (1 + number) for number in range(6)]
-    titles = [f"halo {number}" for number in range(6)]
-    with house_style():
-        figure, axes = plt.subplots(2, 3)
-        artists = draw(axes.ravel(), maps, GRID, titles)
-        figure.canvas.draw()
-    for number, (ax, artist) in enumerate(zip(axes.ravel(), artists, strict=True)):
-        assert artist.axes is ax
-        assert ax.get_title() == titles[number]
-        np.testing.assert_array_equal(artist.get_array(), maps[number])
-    assert len({artist.get_clim() for artist in artists}) == 1
-    assert unit in figure.axes[-1].get_ylabel()
-    assert len(figure.axes) == 7  # six panels and one colour bar
-    plt.close(figure)
-
-
-def test_grid_has_a_scale_per_halo_mass_and_a_column_per_relic():
-    maps = [[IMAGE * (1 + column) * 10**row for column in range(3)] for row in range(2)]
-    with house_style():
-        figure, axes = plt.subplots(2, 3)
-        artists = draw_halo_grid(axes, maps, GRID, [1.0, 2.5, 5.0], [13.0, 13.5])
-        figure.canvas.draw()
-    for row in range(2):
-        assert len({artist.get_clim() for artist in artists[row]}) == 1
-        assert artists[row][0].get_clim()[1] == 23.0 * 3 * 10**row
-        for column in range(3):
-            assert artists[row][column].axes is axes[row, column]
-            np.testing.assert_array_equal(artists[row][column].get_array(), maps[row][column])
-    assert [ax.get_title() for ax in axes[0]] == ["1 keV", "2.5 keV", "5 keV"]
-    assert "13.5" in axes[1, 0].texts[0].get_text()
-    plt.close(figure)
+def test_brightness_starts_at_zero_or_below_and_leaves_out_the_brightest():
+    image = np.append(np.linspace(1.0, 2.0, 999), [1e6, np.nan])
+    low, high = brightness_limits(image)
+    assert low == 0.0
+    assert 1.9 < high < 10.0
+    assert brightness_limits(image - 1.5)[0] < 0.0

@@ -17,6 +17,6 @@ def test_style_holds_inside_and_is_undone_outside():
 
 def test_the_font_of_the_style_is_one_that_matplotlib_brings(recwarn):
     with house_style():
-        found = mpl.font_manager.findfont(mpl.font_manager.FontProperties(family="serif"))
-    assert "STIX" in found
+        font = mpl.font_manager.findfont(mpl.font_manager.FontProperties(family="serif"))
+    assert "STIX" in font
     assert not recwarn.list

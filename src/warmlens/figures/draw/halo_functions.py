@@ -1,4 +1,4 @@
-"""Cumulative mass and velocity functions of subhaloes, one colour a dark matter model."""
+"""Cumulative mass and velocity functions of subhalos, one colour per dark matter model."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
+from warmlens.figures.draw.axes import mask_not_positive
 from warmlens.types import FloatArray
 
 REFERENCE_DASHES = {"Lovell+14": (0, (5, 2)), "Lovell 20": (0, (1, 1.5))}
@@ -21,14 +22,12 @@ def draw_cumulative_functions(
     references: Mapping[str, Mapping[str, FloatArray]],
     label: str,
 ) -> None:
-    """Mean of the realizations of each model as a line, each realization faint, references dashed.
+    """Draw the mean of the realizations of each model, each realization faint, references dashed.
 
     Parameters
     ----------
-    ax
-        Where to draw; both axes become logarithmic.
-    grid
-        Values above which subhaloes are counted [n].
+    ax, grid
+        Where to draw, on logarithmic axes, and the values above which subhalos are counted [n].
     realizations
         N(> grid) of each realization by model, [n_realization, n].
     references
@@ -39,11 +38,11 @@ def draw_cumulative_functions(
     colours = model_colours(list(realizations))
     for model, counts in realizations.items():
         for row in counts:
-            ax.plot(grid, _positive(row), color=colours[model], lw=0.5, alpha=0.35)
-        ax.plot(grid, _positive(counts.mean(axis=0)), color=colours[model], label=model)
+            ax.plot(grid, mask_not_positive(row), color=colours[model], lw=0.5, alpha=0.35)
+        ax.plot(grid, mask_not_positive(counts.mean(axis=0)), color=colours[model], label=model)
     for name, curves in references.items():
         for model, curve in curves.items():
-            ax.plot(grid, _positive(curve), color=colours[model], lw=0.9, ls=REFERENCE_DASHES[name])
+            ax.plot(grid, mask_not_positive(curve), color=colours[model], lw=0.9, ls=REFERENCE_DASHES[name])
     ax.set_xscale("log")
     ax.set_yscale("log")
     ax.set_xlabel(label)
@@ -53,11 +52,6 @@ def draw_cumulative_functions(
 
 
 def model_colours(models: Sequence[str]) -> dict[str, tuple[float, float, float, float]]:
-    """Colours from warm to cold, in the order of the models."""
+    """Return the colour of each model, from warm to cold in their order."""
     shades = mpl.colormaps["viridis_r"](np.linspace(0.12, 1.0, len(models)))
     return {model: tuple(shade) for model, shade in zip(models, shades, strict=True)}
-
-
-def _positive(counts: FloatArray) -> FloatArray:
-    """Counts with 0 left out, which a logarithmic axis cannot show."""
-    return np.where(counts > 0, counts, np.nan)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,8 @@ from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray
 
 MASKED_COLOUR = "0.85"
+DENSITY_LABEL = r"$\Sigma_{\rm sub}$ [M$_\odot$ kpc$^{-2}$]"
+DECADES = 3.0  # of the surface density
 Stretch = Literal["linear", "asinh", "log"]
 
 
@@ -28,16 +31,12 @@ def draw_image(
     linear_width: float | None = None,
     cmap: str = "inferno",
 ) -> AxesImage:
-    """Image in sky coordinates: x to the West on the right, y to the North up, whatever the axes of the grid.
+    """Draw an image on the sky: x to the West on the right, y to the North up, whatever the axes of the grid.
 
     Parameters
     ----------
-    ax
-        Where to draw.
-    image
-        [ny, nx]; NaN is shown as masked.
-    grid
-        Its pixels.
+    ax, image, grid
+        Where to draw what [ny, nx], NaN shown as masked, and its pixels.
     stretch
         Scale of the colours: linear, asinh (linear below `linear_width`), or log (limits must be > 0).
     limits
@@ -58,25 +57,19 @@ def draw_image(
         norm = Normalize(low, high)
     (xx, xy), (yx, yy) = grid.axes
     scale = grid.pixel_scale
-    to_sky = Affine2D(
-        [
-            [scale * xx, scale * xy, grid.origin_x],
-            [scale * yx, scale * yy, grid.origin_y],
-            [0.0, 0.0, 1.0],
-        ]
-    )  # of (column, row); PixelGrid.to_sky
+    x_row, y_row = [scale * xx, scale * xy, grid.origin_x], [scale * yx, scale * yy, grid.origin_y]
+    to_sky = Affine2D([x_row, y_row, [0.0, 0.0, 1.0]])  # of (column, row); PixelGrid.to_sky
+    right, upper = grid.nx - 0.5, grid.ny - 0.5
     artist = ax.imshow(
         np.ma.masked_invalid(image),
         norm=norm,
         cmap=cmap,
         origin="lower",
         interpolation="nearest",
-        extent=(-0.5, grid.nx - 0.5, -0.5, grid.ny - 0.5),
+        extent=(-0.5, right, -0.5, upper),
         transform=to_sky + ax.transData,
     )
-    corners = to_sky.transform(
-        [(column, row) for column in (-0.5, grid.nx - 0.5) for row in (-0.5, grid.ny - 0.5)]
-    )
+    corners = to_sky.transform([(column, row) for column in (-0.5, right) for row in (-0.5, upper)])
     ax.set_xlim(corners[:, 0].min(), corners[:, 0].max())
     ax.set_ylim(corners[:, 1].min(), corners[:, 1].max())
     ax.set_facecolor(MASKED_COLOUR)
@@ -90,15 +83,9 @@ def draw_image(
 def draw_diverging(
     ax: Axes, field: FloatArray, grid: PixelGrid, limit: float | None = None, cmap: str = "RdBu_r"
 ) -> AxesImage:
-    """Map of a signed quantity, centred on zero: residuals, Delta R, one component of a deflection.
+    """Draw a map of a signed quantity, centred on zero: residuals, Delta R, one component of a deflection.
 
-    Parameters
-    ----------
-    ax, field, grid, cmap
-        As in `draw_image`.
-    limit
-        Value of full colour, on both sides; the largest magnitude unless given. The paper's figure of the
-        deflections has 0.04".
+    Full colour is at `limit` on both sides, the largest magnitude unless given; the rest as in `draw_image`.
     """
     full = float(np.nanmax(np.abs(field))) if limit is None else limit
     if not 0.0 < full < np.inf:
@@ -106,19 +93,38 @@ def draw_diverging(
     return draw_image(ax, field, grid, limits=(-full, full), cmap=cmap)
 
 
+def draw_halo_map(
+    ax: Axes, surface_density_msun_kpc2: FloatArray, grid: PixelGrid, limits: tuple[float, float] | None = None
+) -> AxesImage:
+    """Draw the projected mass of subhalos [ny, nx] on a logarithmic scale; 0 (no subhalo) has the first colour.
+
+    Unless given, limits are the `density_limits` of this map; the rest is as in `draw_image`.
+    """
+    low, high = density_limits([surface_density_msun_kpc2]) if limits is None else limits
+    return draw_image(ax, surface_density_msun_kpc2, grid, "log", (low, high), cmap="magma")
+
+
+def density_limits(maps: Iterable[FloatArray]) -> tuple[float, float]:
+    """Return the first and last colour of maps of Sigma [Msun/kpc^2] on one scale: the peak is the last."""
+    high = max(float(np.max(sigma)) for sigma in maps)
+    if not 0.0 < high < np.inf:
+        raise ValueError(f"the largest surface density is {high}: there is no substructure to show")
+    return high / 10.0**DECADES, high
+
+
+def brightness_limits(image: FloatArray) -> tuple[float, float]:
+    """Return the first and last colour of an image of bright sources, NaN where it is blank."""
+    finite = image[np.isfinite(image)]
+    return float(min(0.0, np.percentile(finite, 1.0))), float(np.percentile(finite, 99.8))
+
+
 def draw_compass(ax: Axes, colour: str = "white", length: float = 0.12) -> None:
-    """North up and East to the left in the lower right corner; length in units of the panel."""
+    """Draw North up and East to the left in the lower right corner; length in units of the panel."""
     corner = (0.94, 0.06)
     for (dx, dy), name in (((0.0, length), "N"), ((-length, 0.0), "E")):
         tip = (corner[0] + dx, corner[1] + dy)
-        ax.annotate(
-            "",
-            tip,
-            corner,
-            "axes fraction",
-            "axes fraction",
-            arrowprops={"arrowstyle": "-|>", "color": colour, "lw": 1.0, "shrinkA": 0, "shrinkB": 0},
-        )
+        arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
+        ax.annotate("", tip, corner, "axes fraction", "axes fraction", arrowprops=arrow)
         label = (corner[0] + 1.35 * dx, corner[1] + 1.35 * dy)
         ax.text(*label, name, transform=ax.transAxes, color=colour, ha="center", va="center", fontsize=8)
 
@@ -129,7 +135,7 @@ def add_colour_bar(
     label: str,
     location: Literal["right", "top"] = "right",
 ) -> Colorbar:
-    """Colour bar along its panel, or to the right of a list of panels; the label carries the unit.
+    """Add a colour bar along its panel, or to the right of a list of panels; the label carries the unit.
 
     An end of the bar is pointed where the data go beyond it.
     """
@@ -152,7 +158,7 @@ def add_colour_bar(
 
 
 def _asinh_ticks(linear_width: float, low: float, high: float) -> list[float]:
-    """0 and the powers of ten above the linear part of the scale, of both signs, within its limits."""
+    """Return 0 and the powers of ten above the linear part of the scale, of both signs, within its limits."""
     top = max(abs(low), abs(high))
     decades = 10.0 ** np.arange(np.ceil(np.log10(linear_width)), np.floor(np.log10(top)) + 1.0)
     ticks = np.concatenate([-decades[::-1], [0.0], decades])

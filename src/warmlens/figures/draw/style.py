@@ -1,4 +1,4 @@
-"""The one style of all figures."""
+"""The one style of all figures: their widths, their colours, and the settings of matplotlib."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import matplotlib.pyplot as plt
 
 SINGLE_COLUMN_INCH = 3.5
 FULL_WIDTH_INCH = 7.2
+BLUE, LIGHT_BLUE, RED, ORANGE = "#1f5f8b", "#a9cbe0", "#c1403d", "#d99a2b"
 
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Make figures in the style of `warmlens.mplstyle`; what was set before comes back after."""
+    """Make figures in the style of `warmlens.mplstyle`, and restore the former settings afterwards."""
     with as_file(files("warmlens.figures.draw") / "warmlens.mplstyle") as path, plt.style.context(path):
         yield

@@ -1,77 +1,76 @@
 from __future__ import annotations
 
 import numpy as np
+import pandas as pd
 import pytest
 from matplotlib.path import Path
 
-from warmlens.figures.draw.posterior import draw_mass_marginal, draw_posterior_plane
-from warmlens.inference.bound import Bound
+from warmlens.figures.posterior import PosteriorFigure, draw_mass_marginal, draw_posterior_plane
 
 M_RANGE, LOG_RANGE = (1.0, 5.0), (13.0, 13.5)
 
 
-def table(n, n_accepted, seed=0):
+BOUND = {"level": 0.0455, "value_kev": 2.7, "mc_error_kev": 0.08, "prior_only_kev": 1.182}
+
+
+def posterior(m, log10_mass, accepted) -> PosteriorFigure:
+    samples = pd.DataFrame({"m_th_kev": m, "log10_m_halo_msun": log10_mass, "accepted": accepted})
+    return PosteriorFigure(samples, BOUND, M_RANGE, LOG_RANGE)
+
+
+def corner(n, n_accepted) -> PosteriorFigure:
     """The accepted ones crowd in the corner of high masses."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(0)
     m, log10_mass = rng.uniform(*M_RANGE, n), rng.uniform(*LOG_RANGE, n)
     accepted = np.zeros(n, dtype=bool)
     accepted[np.argsort(-m / 4.0 - log10_mass / 0.5 + rng.normal(0, 0.3, n))[:n_accepted]] = True
-    return m, log10_mass, accepted
+    return posterior(m, log10_mass, accepted)
 
 
-def bound_of(k):
-    return Bound("q0455", 0.0455, 2.7, 0.08, 1.182, k, 20 * k, float(k), ())
+def marginal(m) -> PosteriorFigure:
+    return posterior(m, np.full(m.size, 13.2), np.ones(m.size, dtype=bool))
 
 
 def inside(contours, level, points):
     """Which points lie in the filled regions from `level` on."""
-    found = np.zeros(len(points), dtype=bool)
+    covered = np.zeros(len(points), dtype=bool)
     for path in contours.get_paths()[level:]:
         for polygon in path.to_polygons():
-            found ^= Path(polygon).contains_points(points)
-    return found
+            covered ^= Path(polygon).contains_points(points)
+    return covered
 
 
 @pytest.mark.parametrize("n_accepted", [60, 3000])
 def test_regions_hold_their_share_of_the_accepted_samples(panel, n_accepted):
-    m, log10_mass, accepted = table(20 * n_accepted, n_accepted)
-    contours = draw_posterior_plane(panel, m, log10_mass, accepted, M_RANGE, LOG_RANGE)
-    points = np.column_stack([m, log10_mass])[accepted]
+    data = corner(20 * n_accepted, n_accepted)
+    contours = draw_posterior_plane(panel, data)
+    points = data.accepted[["m_th_kev", "log10_m_halo_msun"]].to_numpy()
     tolerance = 0.12 if n_accepted == 60 else 0.03
     assert inside(contours, 1, points).mean() == pytest.approx(0.683, abs=tolerance)
     assert inside(contours, 0, points).mean() == pytest.approx(0.954, abs=tolerance)
 
 
 def test_points_are_all_and_the_accepted(panel):
-    m, log10_mass, accepted = table(400, 40)
-    draw_posterior_plane(panel, m, log10_mass, accepted, M_RANGE, LOG_RANGE)
+    data = corner(400, 40)
+    draw_posterior_plane(panel, data)
     offsets = [c.get_offsets() for c in panel.collections if c.get_label().startswith(("all", "accepted"))]
-    np.testing.assert_allclose(offsets[0], np.column_stack([m, log10_mass]))
-    np.testing.assert_allclose(offsets[1], np.column_stack([m, log10_mass])[accepted])
+    for shown, samples in zip(offsets, (data.samples, data.accepted), strict=True):
+        np.testing.assert_allclose(shown, samples[["m_th_kev", "log10_m_halo_msun"]])
     assert (panel.get_xlim(), panel.get_ylim()) == (M_RANGE, LOG_RANGE)
     labels = [text.get_text() for text in panel.get_legend().get_texts()]
     assert sorted(labels) == ["68.3%", "95.4%", "accepted 40", "all 400"]
 
 
 def test_too_few_accepted_are_points_and_a_note(panel):
-    m, log10_mass, accepted = table(200, 10)
-    assert draw_posterior_plane(panel, m, log10_mass, accepted, M_RANGE, LOG_RANGE) is None
+    assert draw_posterior_plane(panel, corner(200, 10)) is None
     assert [text.get_text() for text in panel.texts] == ["10 accepted: too few for a density"]
     assert len(panel.collections) == 2
-
-
-def test_weights_move_the_regions(panel):
-    rng = np.random.default_rng(4)
-    m, log10_mass = rng.uniform(*M_RANGE, 3000), rng.uniform(*LOG_RANGE, 3000)
-    weights = np.where(m > 3.0, 1.0, 1e-3)
-    contours = draw_posterior_plane(panel, m, log10_mass, np.ones(3000, dtype=bool), M_RANGE, LOG_RANGE, weights)
-    assert inside(contours, 1, np.column_stack([m, log10_mass])[m < 2.5]).sum() == 0
 
 
 @pytest.mark.parametrize("k", [10, 124, 3000])
 def test_marginal_shades_what_the_bound_excludes(panel, k):
     m = np.random.default_rng(5).triangular(2.0, 4.8, 5.0, k)
-    draw_mass_marginal(panel, m, bound_of(k), M_RANGE)
+    draw_mass_marginal(panel, marginal(m))
     bars = panel.containers[0]
     widths = np.array([bar.get_width() for bar in bars])
     heights = np.array([bar.get_height() for bar in bars])
@@ -94,11 +93,11 @@ def test_marginal_shades_what_the_bound_excludes(panel, k):
 
 def test_marginal_of_uniform_samples_stays_up_at_the_edges(panel):
     """A density that leaks over the edge of the prior would fall to one half there."""
-    draw_mass_marginal(panel, np.random.default_rng(6).uniform(*M_RANGE, 4000), bound_of(4000), M_RANGE)
+    draw_mass_marginal(panel, marginal(np.random.default_rng(6).uniform(*M_RANGE, 4000)))
     (curve,) = [line for line in panel.lines if len(line.get_xdata()) > 2]
     assert curve.get_ydata()[[0, -1]] == pytest.approx(0.25, rel=0.2)
 
 
 def test_nothing_is_printed(panel, capsys):
-    draw_mass_marginal(panel, np.linspace(2, 5, 100), bound_of(100), M_RANGE)
+    draw_mass_marginal(panel, marginal(np.linspace(2, 5, 100)))
     assert capsys.readouterr().out == ""

@@ -1,15 +1,24 @@
-"""The point spread function: as given, and as the fit improved it."""
+"""Figure of the point spread function: as given, and as the fit improved it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import matplotlib.pyplot as plt
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
+from warmlens.figures.draw.axes import mask_not_positive
 from warmlens.figures.draw.sky import add_colour_bar, draw_image
+from warmlens.figures.draw.style import FULL_WIDTH_INCH
+from warmlens.figures.inputs import Inputs, input_path, open_input
+from warmlens.figures.recipe import map_table, panel_table
 from warmlens.imaging.grid import PixelGrid
+from warmlens.products.observation import read_observation
+from warmlens.products.smooth_model import read_smooth_model
 from warmlens.types import FloatArray
 
 GIVEN_COLOUR, IMPROVED_COLOUR, ERROR_COLOUR = "#2f6f9f", "#c1403d", "0.35"
@@ -24,12 +33,8 @@ class PsfRow:
 
     Attributes
     ----------
-    name
-        Of the band.
-    given, improved
-        Kernels of the observation and of the smooth model [odd, odd], sum 1.
-    pixel_scale
-        [arcsec].
+    given, improved, pixel_scale
+        Kernels of the observation and of the smooth model [odd, odd], sum 1; size of their pixels [arcsec].
     error
         Outer edges of rings [n] [arcsec] and the error of the improved PSF in each [n]; None if not measured.
     """
@@ -46,8 +51,49 @@ class PsfRow:
         return not np.array_equal(self.given, self.improved)
 
 
+def read(inputs: Inputs) -> list[PsfRow]:
+    """Return the PSF of every band."""
+    observed = read_observation(input_path(inputs, "observation"))
+    model = read_smooth_model(input_path(inputs, "smooth_model"))
+    rows = []
+    with open_input(inputs, "smooth_model") as artifact:
+        for band in observed.bands:
+            names = [f"{band.name}/psf_error_radius", f"{band.name}/psf_error"]
+            measured = all(name in artifact.file for name in names)
+            error = tuple(artifact.array(name) for name in names) if measured else None
+            rows.append(PsfRow(band.name, band.psf, model.fits[band.name].psf, observed.grid.pixel_scale, error))
+    return rows
+
+
+def draw(rows: list[PsfRow]) -> Figure:
+    """Draw one row per band; half as wide if the fit changed no PSF."""
+    n_columns = 4 if any(row.changed for row in rows) else 2
+    size = (FULL_WIDTH_INCH if n_columns == 4 else 0.6 * FULL_WIDTH_INCH, 0.1 + 2.3 * len(rows))
+    figure, axes = plt.subplots(len(rows), n_columns, figsize=size, squeeze=False)
+    for panels, row in zip(axes, rows, strict=True):
+        draw_psf_row(panels, row)
+    return figure
+
+
+def tabulate(rows: list[PsfRow]) -> pd.DataFrame:
+    """Return the radial profiles, the errors that are left, and the kernels pixel by pixel, of each band."""
+    panels = {}
+    for row in rows:
+        radius, given = radial_profile(row.given, row.pixel_scale)
+        _, improved = radial_profile(row.improved, row.pixel_scale)
+        columns = {"radius_arcsec": radius, "given_per_px": given, "improved_per_px": improved}
+        panels[f"{row.name} profile"] = pd.DataFrame(columns)
+        if row.error is not None:
+            edges, sigma = row.error
+            panels[f"{row.name} error"] = pd.DataFrame({"radius_arcsec": edges, "error_per_px": sigma})
+        grid = PixelGrid.centred(row.given.shape, row.pixel_scale)
+        kernels = {"given_per_px": row.given, "improved_per_px": row.improved}
+        panels[f"{row.name} kernel"] = map_table(grid, kernels)
+    return panel_table(panels)
+
+
 def radial_profile(psf: FloatArray, pixel_scale: float) -> tuple[FloatArray, FloatArray]:
-    """Mean distance [arcsec] and mean of a kernel in rings one pixel wide about its middle, each [n].
+    """Return mean distance [arcsec] and mean of a kernel in rings one pixel wide about its middle, each [n].
 
     The first ring is the middle pixel, and rings end where they would leave the kernel.
     """
@@ -62,14 +108,9 @@ def radial_profile(psf: FloatArray, pixel_scale: float) -> tuple[FloatArray, Flo
 
 
 def draw_psf_row(axes: Sequence[Axes], row: PsfRow) -> None:
-    """Given PSF, improved PSF, difference and radial profiles; of an unchanged PSF only itself and its profile.
+    """Draw given and improved PSF, difference and radial profiles; of an unchanged PSF only it and its profile.
 
-    Parameters
-    ----------
-    axes
-        Four panels, or two if no band's PSF was changed; panels that are not needed are removed.
-    row
-        What they show.
+    There are four panels, or two if no band's PSF was changed; those that are not needed are removed.
     """
     first, *middle, last = axes
     half = min(row.given.shape[0] // 2, round(HALF_WIDTH_ARCSEC / row.pixel_scale))
@@ -97,7 +138,7 @@ def draw_psf_row(axes: Sequence[Axes], row: PsfRow) -> None:
 
 
 def draw_profiles(ax: Axes, row: PsfRow) -> None:
-    """Radial profiles of both kernels, the rms of what was changed, and the error per ring."""
+    """Draw radial profiles of both kernels, the rms of what was changed, and the error per ring."""
     radius, given = radial_profile(row.given, row.pixel_scale)
     shown = radius <= 2.0 * HALF_WIDTH_ARCSEC
     profiles = [(given, "-", 1.5, GIVEN_COLOUR, "given" if row.changed else "as given")]
@@ -107,11 +148,11 @@ def draw_profiles(ax: Axes, row: PsfRow) -> None:
         profiles.append((improved, "-", 1.0, IMPROVED_COLOUR, "improved"))
         profiles.append((np.sqrt(square), ":", 0.9, IMPROVED_COLOUR, "rms change"))
     for profile, style, width, colour, label in profiles:
-        ax.plot(radius[shown], _positive(profile[shown]), ls=style, lw=width, color=colour, label=label)
+        ax.plot(radius[shown], mask_not_positive(profile[shown]), ls=style, lw=width, color=colour, label=label)
     if row.error is not None:
         edges, sigma = row.error
         stairs = np.append(0.0, edges)
-        ax.stairs(_positive(sigma), stairs, color=ERROR_COLOUR, lw=0.9, label="error left", baseline=None)
+        ax.stairs(mask_not_positive(sigma), stairs, color=ERROR_COLOUR, lw=0.9, label="error left", baseline=None)
     ax.set_yscale("log")
     ax.set_xlim(0.0, radius[shown][-1])
     ax.set_xlabel("radius [arcsec]")
@@ -123,8 +164,3 @@ def draw_profiles(ax: Axes, row: PsfRow) -> None:
 def _cut(psf: FloatArray, half: int) -> FloatArray:
     middle = psf.shape[0] // 2
     return psf[middle - half : middle + half + 1, middle - half : middle + half + 1]
-
-
-def _positive(values: FloatArray) -> FloatArray:
-    """Values with those left out that a logarithmic axis cannot show."""
-    return np.where(values > 0.0, values, np.nan)

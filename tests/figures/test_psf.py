@@ -4,8 +4,8 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from warmlens.figures.draw.psf import PsfRow, draw_profiles, draw_psf_row, radial_profile
 from warmlens.figures.draw.style import house_style
+from warmlens.figures.psf import PsfRow, draw, draw_profiles, draw_psf_row, radial_profile
 from warmlens.imaging.psf import hst_like_psf
 
 GIVEN = hst_like_psf(814.0, 0.05, 41)
@@ -40,14 +40,15 @@ def test_changed_and_unchanged_rows_of_one_figure():
     plt.close(figure)
 
 
-@pytest.mark.parametrize("n_columns", [2, 4])
-def test_kernel_smaller_than_the_window_is_shown_whole(n_columns):
+@pytest.mark.parametrize("others", [[], [PsfRow("F555W", GIVEN, IMPROVED, 0.05)]])
+def test_kernel_smaller_than_the_window_is_shown_whole(others):
+    """In a figure of two columns, or of four if the PSF of another band was changed."""
+    small = GIVEN[15:-15, 15:-15]
     with house_style():
-        figure, axes = plt.subplots(1, n_columns)
-        small = GIVEN[15:-15, 15:-15]
-        draw_psf_row(axes, PsfRow("F814W", small, small, 0.05))
+        figure = draw([PsfRow("F814W", small, small, 0.05), *others])
         figure.canvas.draw()
-    assert axes[0].images[0].get_array().shape == (11, 11)
+    assert figure.axes[0].images[0].get_array().shape == (11, 11)
+    assert len(figure.axes) == 2 + 4 * len(others)
     plt.close(figure)
 
 

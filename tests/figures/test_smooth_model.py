@@ -6,53 +6,41 @@ import pytest
 from matplotlib.colors import AsinhNorm
 from matplotlib.patches import Circle
 
-from warmlens.figures.draw.smooth_model import (
-    LensMarks,
-    SmoothModelRow,
-    draw_curves,
-    draw_smooth_model_row,
-    key_handles,
-)
+from warmlens.figures.draw.sky import brightness_limits
 from warmlens.figures.draw.style import house_style
+from warmlens.figures.smooth_model import BandMaps, SmoothModelFigure, draw, draw_curves
 from warmlens.imaging.grid import PixelGrid
 from warmlens.lensing.critical_curves import CriticalCurve
 
 GRID = PixelGrid.centred((8, 8), 0.5)
 SOURCE_GRID = PixelGrid.centred((10, 10), 0.1, x=0.2)
 RING = np.column_stack([np.cos(np.linspace(0, 2 * np.pi, 30)), np.sin(np.linspace(0, 2 * np.pi, 30))])
-LENS = LensMarks(
-    curves=[CriticalCurve(RING, 0.1 * RING)],
-    quasars=np.array([[1.0, 0.5], [-1.0, 0.2]]),
-    quasar_source=np.array([[0.1, 0.0], [0.12, 0.02]]),
-    core_arcsec=0.25,
-)
+CURVE = CriticalCurve(RING, 0.1 * RING)
+QUASARS, QUASAR_SOURCE = np.array([[1.0, 0.5], [-1.0, 0.2]]), np.array([[0.1, 0.0], [0.12, 0.02]])
 
 
-def row() -> SmoothModelRow:
+def maps() -> BandMaps:
     rng = np.random.default_rng(1)
     blank = np.zeros(GRID.shape, dtype=bool)
     blank[0, 0] = True
     image = 10.0 * rng.random(GRID.shape)
-    return SmoothModelRow(
+    return BandMaps(
         name="F814W",
         data=image,
         model=np.where(blank, np.nan, image),
         residual=np.where(blank, np.nan, rng.standard_normal(GRID.shape)),
         source=rng.random(SOURCE_GRID.shape),
-        limits=(0.0, 10.0),
-        source_limits=(0.0, 1.0),
         chi2_red=1.0349,
     )
 
 
 @pytest.fixture
 def panels():
+    shown = maps()
     with house_style():
-        figure, axes = plt.subplots(1, 4, figsize=(7.2, 2.6))
-        shown = row()
-        draw_smooth_model_row(axes, shown, GRID, SOURCE_GRID, LENS)
+        figure = draw(SmoothModelFigure((shown,), GRID, SOURCE_GRID, [CURVE], QUASARS, QUASAR_SOURCE, 0.25))
         figure.canvas.draw()
-        yield shown, axes
+        yield shown, figure.axes
         plt.close(figure)
 
 
@@ -63,7 +51,8 @@ def test_panels_show_their_arrays_and_leave_masked_pixels_blank(panels):
         array = ax.images[0].get_array()
         np.testing.assert_array_equal(np.ma.getmaskarray(array), np.isnan(expected))
         np.testing.assert_array_equal(array.compressed(), expected[np.isfinite(expected)])
-    assert axes[0].images[0].get_clim() == axes[1].images[0].get_clim() == (0.0, 10.0)
+    fitted = brightness_limits(np.where(np.isfinite(shown.model), shown.data, np.nan))
+    assert axes[0].images[0].get_clim() == axes[1].images[0].get_clim() == fitted
     assert isinstance(axes[3].images[0].norm, AsinhNorm)
     low, high = axes[2].images[0].get_clim()
     assert low == -high
@@ -86,7 +75,7 @@ def test_curves_quasars_and_source_position_stand_where_they_are(panels):
     np.testing.assert_allclose(axes[3].lines[1].get_xydata(), [[0.11, 0.01]])
     for ax in (axes[0], axes[2]):
         circles = [patch for patch in ax.patches if isinstance(patch, Circle)]
-        np.testing.assert_array_equal([circle.center for circle in circles], LENS.quasars)
+        np.testing.assert_array_equal([circle.center for circle in circles], QUASARS)
         assert {circle.radius for circle in circles} == {0.25}
 
 
@@ -100,12 +89,13 @@ def test_curves_leave_the_limits_of_the_panel(panel):
 def test_lens_without_quasars_and_critical_curves():
     none = np.empty((0, 2))
     with house_style():
-        figure, axes = plt.subplots(1, 4, figsize=(7.2, 2.6))
-        draw_smooth_model_row(axes, row(), GRID, SOURCE_GRID, LensMarks([], none, none, 0.25))
+        figure = draw(SmoothModelFigure((maps(),), GRID, SOURCE_GRID, [], none, none, 0.25))
         figure.canvas.draw()
-    assert not axes[3].lines
+    assert not figure.axes[3].lines
     plt.close(figure)
 
 
-def test_key_names_every_sign():
-    assert len({handle.get_label() for handle in key_handles()}) == 3
+def test_key_names_every_sign(panels):
+    _, axes = panels
+    (legend,) = axes[0].figure.legends
+    assert len({text.get_text() for text in legend.get_texts()}) == 3
