@@ -21,40 +21,10 @@ from warmlens.text import CITATION, bound_cells, confidence, prior_name
 
 # Figures that are shown with their numbers; all others follow under "Figures".
 PLACED = ("posterior", "likelihood", "information", "calibration", "convergence", "predictive")
-SECTIONS = {
-    "warnings": "Warnings",
-    "bound": "The bound",
-    "posterior": "Posterior",
-    "companions": "Beside the bound",
-    "calibration": "Calibration",
-    "convergence": "Convergence",
-    "checks": "Predictive checks",
-    "null-test": "Null test",
-    "smooth-model": "Smooth model",
-    "figures": "Figures",
-    "failed": "Failed samples",
-    "accepted": "Accepted samples",
-    "configuration": "Configuration",
-    "provenance": "Provenance",
-    "times": "Run times",
-    "reproduce": "Reproduce and cite",
-}
 
 
 def write_report(results: Path, output: Path | None = None) -> Path:
-    """Write the report of a finished campaign.
-
-    Parameters
-    ----------
-    results
-        Results folder.
-    output
-        HTML file; `report.html` in the results folder unless given.
-
-    Returns
-    -------
-    Path
-        The file.
+    """Write the report of a finished campaign to `output`, or report.html in its folder; return where it is.
 
     Raises
     ------
@@ -85,7 +55,6 @@ def report_html(campaign: Mapping[str, Any], provenance: Provenance) -> str:
         provenance=provenance,
         name=results.resolve().name,
         folder=str(results),
-        sections=SECTIONS.items(),
         bounds=bound_rows(meta),
         figures={name: _figure(results, name, f"Figure {i}") for i, name in numbered},
         gallery=gallery,

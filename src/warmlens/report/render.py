@@ -47,6 +47,7 @@ def environment() -> Environment:
         "crossing": lambda fall: typeset(text.crossing(fall)),
         "summary_name": lambda name: typeset(text.summary_name(name)),
         "duration": text.duration,
+        "headings": headings,
         "typeset": typeset,
         "scientific": scientific,
     }
@@ -57,6 +58,11 @@ def typeset(message: str) -> Markup:
     """Escape a message of the terminal; set ± and the field's symbols with their subscripts."""
     escaped = str(Markup.escape(message.replace("+-", "±").replace("chi2_red", "χ²_red")))
     return Markup(_SYMBOL.sub(r"<var>\1</var><sub>\2</sub>", escaped))
+
+
+def headings(html: str) -> list[tuple[str, Markup]]:
+    """Return the identifier and the title of every section of a page."""
+    return [(name, Markup(title)) for name, title in re.findall(r'<section id="(.*?)">\s*<h2>(.*?)</h2>', html)]
 
 
 def signed(value: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -88,7 +88,7 @@ def read_sample(results: Path, sample: int) -> SampleRecord:
         with open_of_campaign(results, name, stage) as artifact:
             stages.append({"name": name, **_read_stage(artifact, row, sample, config.campaign)})
             if stages[-1]["status"] == "done":
-                values |= _READERS[stage](artifact, row)
+                values |= _read_values(artifact, row)
     with open_of_campaign(results, SINGLE["observed_scan"], "observed_scan") as artifact:
         scan_grid = raster_grid(artifact)
         scan = _compare_scans(artifact, values.pop("delta_r", {}))
@@ -139,45 +139,38 @@ def seed_keys(pattern: str, sample: int, metadata: Mapping[str, Any]) -> tuple[s
     return tuple(own.replace("BAND", band) for band in metadata["bands"]) if "BAND" in own else (own,)
 
 
+def _read_values(artifact: Artifact, row: int) -> dict[str, Any]:
+    """Fields of `SampleRecord` that a stage made, and `delta_r` of its scan."""
+    bands = artifact.metadata.get("bands", ())
+    match artifact.stage:
+        case "halos":
+            return {"halo": _read_halo(artifact, row)}
+        case "deflections":
+            rms = float(artifact.array("rms", row))
+            return {"delta_alpha": _read_floats(artifact, "delta_alpha", row), "deflection_rms_arcsec": rms}
+        case "mocks":
+            return {"mocks": {band: _read_floats(artifact, f"{band}/image", row) for band in bands}}
+        case "scans":
+            chi2 = {band: float(artifact.array(f"{band}/chi2", row)) for band in bands}
+            return {"chi2": chi2, "delta_r": by_band(artifact, "delta_r", row)}
+        case _:
+            return {"summaries": {kind: artifact.array(f"{COMBINED}/{kind}", row) for kind in SUMMARIES}}
+
+
+def _read_floats(artifact: Artifact, name: str, row: int) -> FloatArray:
+    return artifact.array(name, row).astype(np.float64)
+
+
 def _read_halo(artifact: Artifact, row: int) -> dict[str, Any]:
     """Substructure of a sample: subhalos in the field; numbers and mass function of the whole halo."""
-    halo: dict[str, Any] = {name: int(artifact.array(f"halo/{name}", row)) for name in _HALO_COUNTS}
-    halo |= {name: float(artifact.array(f"halo/{name}", row)) for name in ("f_sub", "z_half")}
-    halo["subhalos"] = read_subhalos(artifact, row)
-    halo["mass_bins"] = artifact.array("halo/cumulative_mass_function_bins")
-    halo["mass_function"] = artifact.array("halo/cumulative_mass_function", row).astype(np.float64)
-    halo["min_mass_msun"] = float(artifact.settings["halos"]["min_mass_msun"])
-    return {"halo": halo}
-
-
-def _read_deflection(artifact: Artifact, row: int) -> dict[str, Any]:
     return {
-        "delta_alpha": artifact.array("delta_alpha", row).astype(np.float64),
-        "deflection_rms_arcsec": float(artifact.array("rms", row)),
+        **{name: int(artifact.array(f"halo/{name}", row)) for name in _HALO_COUNTS},
+        **{name: float(artifact.array(f"halo/{name}", row)) for name in ("f_sub", "z_half")},
+        "subhalos": read_subhalos(artifact, row),
+        "mass_bins": artifact.array("halo/cumulative_mass_function_bins"),
+        "mass_function": _read_floats(artifact, "halo/cumulative_mass_function", row),
+        "min_mass_msun": float(artifact.settings["halos"]["min_mass_msun"]),
     }
-
-
-def _read_mocks(artifact: Artifact, row: int) -> dict[str, Any]:
-    bands = artifact.metadata["bands"]
-    return {"mocks": {band: artifact.array(f"{band}/image", row).astype(np.float64) for band in bands}}
-
-
-def _read_scan(artifact: Artifact, row: int) -> dict[str, Any]:
-    chi2 = {band: float(artifact.array(f"{band}/chi2", row)) for band in artifact.metadata["bands"]}
-    return {"delta_r": by_band(artifact, "delta_r", row), "chi2": chi2}
-
-
-def _read_summaries(artifact: Artifact, row: int) -> dict[str, Any]:
-    return {"summaries": {kind: artifact.array(f"{COMBINED}/{kind}", row) for kind in SUMMARIES}}
-
-
-_READERS: dict[str, Callable[[Artifact, int], dict[str, Any]]] = {
-    "halos": _read_halo,
-    "deflections": _read_deflection,
-    "mocks": _read_mocks,
-    "scans": _read_scan,
-    "summaries": _read_summaries,
-}
 
 
 def _compare_scans(observed: Artifact, delta_r: Mapping[str, FloatArray]) -> list[ScanRow]:

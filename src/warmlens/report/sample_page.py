@@ -30,15 +30,6 @@ from warmlens.report.sample import SampleRecord, read_sample
 from warmlens.types import FloatArray
 
 N_SUBHALOS = 20
-SECTIONS = {
-    "sample": "The sample",
-    "subhalos": "Subhalos",
-    "deflection": "Deflection",
-    "mocks": "Mock image",
-    "scan": "Scan",
-    "summaries": "Summaries",
-    "stages": "Stages and seeds",
-}
 _MAP_PIXELS = 240
 _MARGIN = 1.1  # of the mass map about the image
 _RESIDUAL_LIMIT = 5.0  # sigma
@@ -70,26 +61,12 @@ CAPTIONS = {
 
 
 def write_sample(results: Path, sample: int, output: Path | None = None) -> Path:
-    """Write the page of one sample of a finished campaign.
-
-    Parameters
-    ----------
-    results
-        Results folder.
-    sample
-        Number of the sample, from 0.
-    output
-        HTML file; one under `samples` in the results folder unless given.
-
-    Returns
-    -------
-    Path
-        The file.
+    """Write the page of a sample to `output`, or under `samples` in the results folder; return where it is.
 
     Raises
     ------
     ArtifactError
-        If there is no such sample, or for a missing artifact, with the command that makes it.
+        See `read_sample`.
     """
     record = read_sample(results, sample)
     target = output or results / sample_page(sample)
@@ -108,7 +85,6 @@ def sample_html(record: SampleRecord, results: Path) -> str:
         record=record,
         name=results.resolve().name,
         folder=str(results),
-        sections=SECTIONS.items(),
         figures=figures,
         failed_stage=next((entry["stage"] for entry in record.stages if entry["status"] == "failed here"), None),
         subhalos=heaviest(record),

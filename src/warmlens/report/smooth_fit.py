@@ -11,14 +11,7 @@ from warmlens.text import parameter_unit
 
 
 def read_smooth_fit(artifact: Artifact, simulated: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Read the smooth model from its artifact, with the truth of a simulated observation.
-
-    Parameters
-    ----------
-    artifact
-        Of the stage `smooth_model`.
-    simulated
-        Settings `observation.simulated` of the observation, if it is simulated.
+    """Read the smooth model from its artifact, and the truth from the settings `observation.simulated`, if any.
 
     Returns
     -------
@@ -78,14 +71,7 @@ def true_parameters(
 ) -> dict[str, float]:
     """Parameters that the observation was simulated with, where the fitted model has the same components.
 
-    Parameters
-    ----------
-    lens_models
-        Lens models of the fit.
-    light
-        Settings `smooth_model.lens_light`.
-    simulated
-        Settings `observation.simulated`.
+    The fit has `lens_models` and the settings `smooth_model.lens_light`, the observation `observation.simulated`.
     """
     truth: dict[str, float] = {}
     if list(lens_models) == simulated["lens"]["lens_model_list"]:
