@@ -111,7 +111,7 @@ def _read_rows(artifact: Artifact, rows: np.ndarray, columns: Sequence[str]) -> 
 
 
 def _read_failed(artifact: Artifact, config: Config) -> list[dict[str, Any]]:
-    """Samples without summaries: parameters, the stage that each failed in, and why."""
+    """Read the samples without summaries: parameters, the stage that each failed in, and why."""
     failed = artifact.array("table/status") != OK
     samples = _read_rows(artifact, failed, _PARAMETERS)
     messages = [text for text, here in zip(artifact.strings("table/message"), failed, strict=True) if here]
@@ -137,7 +137,7 @@ def failing_stages(config: Config, samples: Sequence[int]) -> list[str]:
 
 
 def _reproduction(results: Path, config: Config) -> dict[str, Any]:
-    """What makes the same numbers again, and the whole configuration as YAML with the digest of its JSON."""
+    """Return what makes the same numbers again, and the configuration as YAML with the digest of its JSON."""
     recorded = json.loads((results / CONFIG).read_text())
     return {
         "command": remaking_command(results),

@@ -77,10 +77,8 @@ def read_sample(results: Path, sample: int) -> SampleRecord:
     with open_of_campaign(results, SINGLE["observation"], "observation") as artifact:
         observation = read_observation(artifact.path)
     with open_of_campaign(results, SINGLE["smooth_model"], "smooth_model") as artifact:
-        fits = {
-            band: (artifact.array(f"{band}/model"), artifact.array(f"{band}/sigma"))
-            for band in artifact.metadata["bands"]
-        }
+        bands = artifact.metadata["bands"]
+        fits = {band: (artifact.array(f"{band}/model"), artifact.array(f"{band}/sigma")) for band in bands}
     stages: list[dict[str, Any]] = []
     values: dict[str, Any] = {}
     for stage in CHUNKED:
@@ -116,7 +114,7 @@ def read_sample(results: Path, sample: int) -> SampleRecord:
 
 
 def _read_stage(artifact: Artifact, row: int, sample: int, campaign: CampaignBlock) -> dict[str, Any]:
-    """What a stage did for a sample; the traceback is "" unless it failed in this stage."""
+    """Read the fate of a sample in a stage; the traceback is "" unless it failed in this stage."""
     status = int(artifact.array("samples/status", row))
     keys = seed_keys(artifact.text("seed_key"), sample, artifact.metadata)
     if artifact.stage == "halos" and campaign.design == "prior":  # which draws the parameters too
@@ -132,7 +130,7 @@ def _read_stage(artifact: Artifact, row: int, sample: int, campaign: CampaignBlo
 
 
 def seed_keys(pattern: str, sample: int, metadata: Mapping[str, Any]) -> tuple[str, ...]:
-    """Keys of a stage's random streams for one sample, from the pattern that its artifact records."""
+    """Return the keys of a stage's random streams for a sample, from the pattern that its artifact records."""
     if not pattern:
         return ()
     own = pattern.replace("SAMPLE", str(sample))
@@ -140,7 +138,7 @@ def seed_keys(pattern: str, sample: int, metadata: Mapping[str, Any]) -> tuple[s
 
 
 def _read_values(artifact: Artifact, row: int) -> dict[str, Any]:
-    """Fields of `SampleRecord` that a stage made, and `delta_r` of its scan."""
+    """Read the fields of `SampleRecord` that a stage made, and `delta_r` of its scan."""
     bands = artifact.metadata.get("bands", ())
     match artifact.stage:
         case "halos":
@@ -162,7 +160,7 @@ def _read_floats(artifact: Artifact, name: str, row: int) -> FloatArray:
 
 
 def _read_halo(artifact: Artifact, row: int) -> dict[str, Any]:
-    """Substructure of a sample: subhalos in the field; numbers and mass function of the whole halo."""
+    """Read the subhalos in the field, and numbers and mass function of the whole halo."""
     return {
         **{name: int(artifact.array(f"halo/{name}", row)) for name in _HALO_COUNTS},
         **{name: float(artifact.array(f"halo/{name}", row)) for name in ("f_sub", "z_half")},
@@ -174,21 +172,18 @@ def _read_halo(artifact: Artifact, row: int) -> dict[str, Any]:
 
 
 def _compare_scans(observed: Artifact, delta_r: Mapping[str, FloatArray]) -> list[ScanRow]:
-    """Delta R of observation and sample by band, NaN outside the valid positions; empty if the sample has none."""
+    """Return Delta R of observation and sample by band, NaN outside the valid positions; [] without a sample's."""
     valid = observed.array("raster/valid")
     seen, r_sens = by_band(observed, "delta_r"), by_band(observed, "r_sens")
-    return [
-        ScanRow(
-            name,
-            [np.where(valid, delta, np.nan) for delta in (seen[name], own)],
-            np.where(valid, r_sens[name], np.nan),
-        )
-        for name, own in delta_r.items()
-    ]
+
+    def blank(values: FloatArray) -> FloatArray:
+        return np.where(valid, values, np.nan)
+
+    return [ScanRow(band, [blank(seen[band]), blank(delta_r[band])], blank(r_sens[band])) for band in delta_r]
 
 
 def _read_verdict(artifact: Artifact, sample: int) -> dict[str, Any]:
-    """What the inference made of a sample: its distances, and their ranks, 1 for the nearest, unless it failed."""
+    """Read the distances of a sample and their ranks, 1 for the nearest; a failed sample has no ranks."""
     accepted, max_rank = artifact.array("table/accepted"), artifact.array("table/max_rank")
     distances = {kind: artifact.array(f"table/distance_{kind}") for kind in SUMMARIES}
     failed = not np.isfinite(max_rank[sample])

@@ -52,16 +52,10 @@ class SystematicsBlock(Block):
 
 
 def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> None:
-    """Run the base campaign and every variant, unless they are finished; write table and figure.
+    """Run the base campaign and the variants of a `SystematicsBlock` in YAML; write table and figure.
 
-    Parameters
-    ----------
-    path
-        YAML file with a `SystematicsBlock`.
-    cores
-        For Snakemake.
-    base_overlays
-        Replace those of the base campaign in the file; table and variants then go to RESULTS_systematics.
+    What is finished is kept. `base_overlays` replace those that the file names for the base campaign; table and
+    variants then go to RESULTS_systematics.
 
     Raises
     ------

@@ -84,7 +84,7 @@ def prior_rows(base: Config) -> list[Row]:
     for name in HALO_MASS_PRIORS:
         bound = meta["other_priors"][name]
         if bound["value_kev"] is None:
-            numbers = {"state": FAILED, "reason": "; ".join(bound["warnings"])}
+            numbers: dict[str, Any] = {"state": FAILED, "reason": "; ".join(bound["warnings"])}
         else:
             numbers = {"n_accepted": bound["k"], "n_samples": bound["n"], "n_in_common": bound["k"]}
             numbers |= {"warnings": tuple(bound["warnings"]), **_bound_fields(bound, headline)}
@@ -108,8 +108,8 @@ def write_table(folder: Path, rows: Sequence[Row]) -> None:
 def print_table(rows: Sequence[Row], console: Console) -> None:
     """Print bound and scan of every variant, and why one has none."""
     columns = ("variant", "bound [keV]", "prior", "shift", "as base", "n below", "C(0)", "min dR", "z2")
-    table = Table(*columns, "chi2_red", "core s", box=None)
-    table.caption = "n below, z2: of the observation (median of the mocks without substructure)"
+    caption = "n below, z2: of the observation (median of the mocks without substructure)"
+    table = Table(*columns, "chi2_red", "core s", box=None, caption=caption)
     for row in rows:
         bound = "" if row.bound_kev is None else f"{row.bound_kev:.2f} +- {row.mc_error_kev:.2f}"
         bound += " (do not quote)" if row.quotable is False else ""
@@ -126,7 +126,7 @@ def print_table(rows: Sequence[Row], console: Console) -> None:
             " ".join(f"{value:.3f}" for value in row.chi2_red.values()),
             _text("{:.0f}", row.computed_s),
         )
-    wide = Console(file=console.file, highlight=False, width=max(console.width, 140))  # no cell is to be broken
+    wide = Console(file=console.file, highlight=False, width=max(console.width, 140))  # so that no cell is broken
     wide.print(table)
     for row in rows:
         if row.state == FAILED:
