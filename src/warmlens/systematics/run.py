@@ -30,8 +30,7 @@ from warmlens.systematics import table
 from warmlens.text import duration
 
 CONFIG = Path("config.yaml")
-OVERLAY, LOG = "overlay.yaml", "systematics.log"
-BASE = "base"
+OVERLAY, LOG, BASE = "overlay.yaml", "systematics.log", "base"
 
 
 class VariantBlock(Block):
