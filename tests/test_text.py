@@ -41,8 +41,12 @@ def test_crossing() -> None:
 
 def test_notes_leave_out_what_the_headline_says() -> None:
     headline = {"warnings": ["few"]}
-    bound = {"warnings": ["few", "indistinguishable from the prior: 1 against 1", "cut off"]}
-    assert text.own_notes(bound, headline) == ["cut off"]
+    warnings = ["few", "indistinguishable from the prior: 1 against 1", "cut off"]
+    bound = {"value_kev": 1.2, "mc_error_kev": 0.05, "prior_only_kev": 1.0, "ess": 33.4, "warnings": warnings}
+    cells = {"value": "1.20 +- 0.05", "prior": "1.00", "ess": "33", "notes": ["cut off"]}
+    assert text.bound_cells(bound, headline) == cells
+    none = {"value": "none", "prior": "", "ess": "", "notes": ["cut off"]}
+    assert text.bound_cells({"value_kev": None, "warnings": warnings}, headline) == none
 
 
 def test_names_in_words() -> None:

@@ -1,4 +1,4 @@
-"""Numbers as text, the same in the terminal and on the pages."""
+"""Numbers and names as text, the same in the terminal and on the pages."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _ARCSEC = ("theta_E", "center_x", "center_y", "ra_0", "dec_0", "R_sersic", "beta
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """A number with fixed decimals; "none" for what is not known."""
+    """A number with fixed decimals; "none" for None and NaN."""
     return "none" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
@@ -56,32 +56,41 @@ def percent(fraction: float, digits: int = 1) -> str:
     return f"{100.0 * fraction:.{digits}f}%"
 
 
-def crossing(found: Mapping[str, Any]) -> str:
+def crossing(fall: Mapping[str, Any]) -> str:
     """Relic mass at which the likelihood ratio has fallen to a value."""
-    if found["m_kev"] is None:
-        return "not within the prior"
-    return f"{pair(found['m_kev'], found['mc_error_kev'])} keV"
+    return "not within the prior" if fall["m_kev"] is None else f"{pair(fall['m_kev'], fall['mc_error_kev'])} keV"
 
 
-def own_notes(bound: Mapping[str, Any], headline: Mapping[str, Any]) -> list[str]:
-    """Warnings of a bound that the headline has not."""
-    known = set(headline["warnings"])
-    return [text for text in bound["warnings"] if text not in known and not text.startswith("indistinguish")]
+def bound_cells(bound: Mapping[str, Any], headline: Mapping[str, Any]) -> dict[str, Any]:
+    """A bound of abc.json [keV], that of the prior alone, the ESS, and the warnings that the headline lacks."""
+    notes = [
+        warning
+        for warning in bound["warnings"]
+        if warning not in headline["warnings"] and not warning.startswith("indistinguish")
+    ]
+    if bound["value_kev"] is None:
+        return {"value": "none", "prior": "", "ess": "", "notes": notes}
+    return {
+        "value": pair(bound["value_kev"], bound["mc_error_kev"]),
+        "prior": number(bound["prior_only_kev"]),
+        "ess": number(bound["ess"], 0),
+        "notes": notes,
+    }
 
 
 def prior_name(name: str) -> str:
-    """What the other priors of abc.json are, in words."""
-    if found := re.fullmatch(f"flat_{_NUMBER}_{_NUMBER}", name):
-        return f"log₁₀ M_h uniform from {found[1]} to {found[2]}"
-    if found := re.fullmatch(f"normal_{_NUMBER}_{_NUMBER}", name):
-        return f"log₁₀ M_h normal, {found[1]} +- {found[2]}"
+    """Name of another prior of abc.json, in words."""
+    if limits := re.fullmatch(f"flat_{_NUMBER}_{_NUMBER}", name):
+        return f"log₁₀ M_h uniform from {limits[1]} to {limits[2]}"
+    if moments := re.fullmatch(f"normal_{_NUMBER}_{_NUMBER}", name):
+        return f"log₁₀ M_h normal, {moments[1]} +- {moments[2]}"
     return _PRIORS.get(name, name)
 
 
 def summary_name(name: str) -> str:
-    """What the summaries of abc.json are, in words."""
-    if found := re.fullmatch(f"positions_below_{_NUMBER}", name):
-        return f"positions with ΔR below {found[1].replace('-', '−')}"
+    """Name of a summary of abc.json, in words."""
+    if count := re.fullmatch(f"positions_below_{_NUMBER}", name):
+        return f"positions with ΔR below {count[1].replace('-', '−')}"
     return _SUMMARIES.get(name, name)
 
 

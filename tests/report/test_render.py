@@ -6,7 +6,7 @@ import jinja2
 import pytest
 
 from warmlens.artifacts.file import ArtifactError
-from warmlens.report.render import environment, picture, render, scientific, typeset
+from warmlens.report.render import environment, headings, picture, render, scientific, typeset
 
 HOSTILE = "<script>alert(1)</script>"
 
@@ -50,6 +50,11 @@ def test_a_picture_is_a_data_uri_of_its_size() -> None:
     assert (shown["width"], shown["height"]) == (936, 416)
     with pytest.raises(ArtifactError, match=r"figures/x.png: not a PNG picture"):
         picture(b"GIF89a", "", "figures/x.png")
+
+
+def test_contents_are_the_headings_of_the_sections() -> None:
+    page = '<section id="a"><h2>A &amp; B</h2>\n<h3>no</h3></section><section id="b-c">\n<h2>C</h2></section>'
+    assert headings(page) == [("a", "A &amp; B"), ("b-c", "C")]
 
 
 def test_the_policy_allows_the_page_its_own_script_alone() -> None:

@@ -20,7 +20,7 @@ CHANGED_FIRST = {
     "source and lens": ("smooth_model",),
     "psf": ("smooth_model",),
     "mask": ("smooth_model",),
-    "haloes": ("halos",),
+    "halos": ("halos",),
     "filter": ("deflections",),
 }
 
@@ -66,7 +66,7 @@ def test_the_shipped_variants_hold_those_of_the_paper() -> None:
         ({"a b": {"group": "x", "description": "", "overlay": {}}}, [": variants.a b."]),
     ],
 )
-def test_every_problem_is_told_before_anything_runs(
+def test_every_problem_is_reported_before_anything_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variants: dict[str, object], problems: list[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -82,7 +82,7 @@ def test_every_problem_is_told_before_anything_runs(
         run(tmp_path / "absent.yaml", 1)
 
 
-def test_a_failed_run_is_told_in_the_words_of_its_stage(tmp_path: Path) -> None:
+def test_a_failed_run_is_reported_with_the_message_of_its_stage(tmp_path: Path) -> None:
     log = tmp_path / "log"
     log.write_text(
         "\x1b[31mError in rule smooth_model\nLogfile:\n=====\n22:01 INFO evaluation 3\n"
@@ -93,14 +93,14 @@ def test_a_failed_run_is_told_in_the_words_of_its_stage(tmp_path: Path) -> None:
     assert last_words(log).startswith("LockException: the folder is locked (see ")
 
 
-def test_table_and_figure(tmp_path: Path) -> None:
+def test_table_and_figure_show_every_row(tmp_path: Path) -> None:
     numbers = {"bound_kev": 2.0, "mc_error_kev": 0.2, "prior_only_kev": 1.18, "n_accepted": 50, "n_samples": 250}
     scan = {"n_below": 120, "c0": 3.5, "min_delta_r": -17.0, "chi2_red": {"F814W": 1.01}, "mean_z2": 1.3}
     rows = [
         Row("base", "base", "", **numbers, **scan, null_n_below=100.0, null_mean_z2=1.0),
         Row("gated", "lens", "", FAILED, "chi2_red = 1.34 [F814W] above the gate"),
         Row("scan_only", "lens", "", **{**scan, "n_below": 300}),
-        Row("other", "haloes", "", shift_kev=-0.5, **{**numbers, "bound_kev": 1.5}),
+        Row("other", "halos", "", shift_kev=-0.5, **{**numbers, "bound_kev": 1.5}),
     ]
     write_table(tmp_path, rows)
     text = (tmp_path / "systematics.csv").read_text().splitlines()

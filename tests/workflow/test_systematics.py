@@ -1,4 +1,4 @@
-"""`warmlens systematics` on the finished campaign: what is shared, computed, and said of what fails."""
+"""`warmlens systematics` on the finished campaign: what is shared and computed, and how failures are reported."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .conftest import Project
 
 VARIANTS = {
     "equal": {"group": "none", "description": "nothing is changed", "overlay": {}},
-    "halos": {"group": "haloes", "description": "the paper's", "overlay": {"halos": {"preset": "paper"}}},
+    "halos": {"group": "halos", "description": "the paper's", "overlay": {"halos": {"preset": "paper"}}},
     "gated": {
         "group": "lens",
         "description": "a gate that no fit passes",
@@ -42,7 +42,7 @@ def test_systematics(copy_of: Callable[[], Project]) -> None:
     block = {"base": ["absent.yaml"], "results": "results/systematics", "variants": VARIANTS}
     (project.folder / "mine.yaml").write_text(yaml.safe_dump(block, sort_keys=False))
     before = _times(project.results)
-    del before["abc.h5"]  # of more samples: made anew
+    del before["abc.h5"]  # of more samples: recomputed
     overlays = ("--configfile", "overlay-0.yaml", "--configfile", "overlay-1.yaml")  # in place of the file's base
     done = project.warmlens("systematics", "--config", "mine.yaml", *overlays, "--cores", "2")
     assert done.returncode == 0, done.stdout + done.stderr

@@ -1,9 +1,9 @@
-"""`warmlens report`: one HTML file with everything that a campaign found."""
+"""`warmlens report`: one HTML file with the whole result of a campaign."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,58 +11,28 @@ from jinja2 import UndefinedError
 
 from warmlens.artifacts.file import ArtifactError
 from warmlens.artifacts.names import FIGURES, REPORT, SINGLE
+from warmlens.campaign.snakemake import remaking_command
 from warmlens.figures import CAPTIONS
 from warmlens.inference.calibration import MIN_ROWS
-from warmlens.report.collect import Campaign, FigureFile, read_report
+from warmlens.report.collect import read_report
 from warmlens.report.provenance import CampaignProvenance, read_provenance
 from warmlens.report.render import picture, render, write_page
-from warmlens.text import CITATION
+from warmlens.text import CITATION, bound_cells, confidence, prior_name
 
-# Figures that stand beside the numbers they show; all others follow under "Figures".
+# Figures that are shown with their numbers; all others follow under "Figures".
 PLACED = ("posterior", "likelihood", "information", "calibration", "convergence", "predictive")
-SECTIONS = (
-    ("warnings", "Warnings"),
-    ("bound", "The bound"),
-    ("posterior", "Posterior"),
-    ("companions", "Beside the bound"),
-    ("calibration", "Calibration"),
-    ("convergence", "Convergence"),
-    ("checks", "Predictive checks"),
-    ("null-test", "Null test"),
-    ("smooth-model", "Smooth model"),
-    ("figures", "Figures"),
-    ("failed", "Failed samples"),
-    ("accepted", "Accepted samples"),
-    ("configuration", "Configuration"),
-    ("provenance", "Provenance"),
-    ("times", "Run times"),
-    ("reproduce", "Reproduce and cite"),
-)
 
 
 def write_report(results: Path, output: Path | None = None) -> Path:
-    """Write the report of a finished campaign.
-
-    Parameters
-    ----------
-    results
-        Results folder.
-    output
-        Where to; `report.html` in the results folder unless given.
-
-    Returns
-    -------
-    output
-        The file.
+    """Write the report of a finished campaign to `output`, or report.html in its folder; return where it is.
 
     Raises
     ------
     ArtifactError
-        If an artifact that it needs is missing or was written by other code. A figure that is missing is named
-        in its place.
+        For an artifact that is missing or was written by other code. A missing figure is named in its place.
     """
-    campaign = read_report(results, CAPTIONS)
-    provenance = read_provenance(results, campaign.config)
+    campaign = read_report(results)
+    provenance = read_provenance(results, campaign["config"])
     target = output or results / REPORT
     try:
         html = report_html(campaign, provenance)
@@ -74,26 +44,21 @@ def write_report(results: Path, output: Path | None = None) -> Path:
     return target
 
 
-def report_html(campaign: Campaign, provenance: CampaignProvenance) -> str:
-    """The page."""
-    placed = [name for name in PLACED if name in FIGURES]
+def report_html(campaign: Mapping[str, Any], provenance: CampaignProvenance) -> str:
+    """Render the page from the values of `read_report`."""
+    results, meta = campaign["results"], campaign["meta"]
     gallery = [name for name in FIGURES if name not in PLACED]
-    by_name = {item.name: item for item in campaign.figures}
-    figures = {name: _figure(by_name[name], i) for i, name in enumerate([*placed, *gallery], start=1)}
+    numbered = enumerate([*(name for name in PLACED if name in FIGURES), *gallery], start=1)
     return render(
         "report.html.j2",
         campaign=campaign,
         provenance=provenance,
-        name=campaign.results.resolve().name,
-        folder=str(campaign.results),
-        sections=SECTIONS,
-        figures=figures,
+        name=results.resolve().name,
+        folder=str(results),
+        bounds=bound_rows(meta),
+        figures={name: _figure(results, name, f"Figure {i}") for i, name in numbered},
         gallery=gallery,
-        predictive_kinds=list(
-            dict.fromkeys(
-                [*campaign.meta["posterior_predictive_p"], *campaign.meta["nearest_neighbour_percentile"]]
-            )
-        ),
+        predictive_kinds=dict.fromkeys([*meta["posterior_predictive_p"], *meta["nearest_neighbour_percentile"]]),
         file_warnings=file_warnings(provenance),
         citation=CITATION,
         min_trials=MIN_ROWS,
@@ -101,8 +66,22 @@ def report_html(campaign: Campaign, provenance: CampaignProvenance) -> str:
     )
 
 
+def bound_rows(meta: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
+    """Rows of the tables of bounds: at every level, under the other rules, and under the other priors."""
+    headline = meta["bounds"][meta["headline"]]
+    labelled = {
+        "levels": [(name, f"{name} ({confidence(bound)})", bound) for name, bound in meta["bounds"].items()],
+        "rules": [(name, name, bound) for name, bound in meta["other_rules"].items()],
+        "priors": [(name, prior_name(name), bound) for name, bound in meta["other_priors"].items()],
+    }
+    return {
+        table: [{"name": name, "label": label, **bound_cells(bound, headline)} for name, label, bound in bounds]
+        for table, bounds in labelled.items()
+    }
+
+
 def file_warnings(provenance: CampaignProvenance) -> list[str]:
-    """What is wrong with the artifacts, in words."""
+    """Say what is wrong with the artifacts."""
     warnings = []
     if provenance.chain_problem:
         warnings.append(f"the chain of artifacts is broken: {provenance.chain_problem}")
@@ -121,15 +100,15 @@ def _some(names: Sequence[str], most: int = 4) -> str:
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def _figure(item: FigureFile, number: int) -> dict[str, Any]:
-    """Label, caption, picture and table of a figure; no picture if it is missing."""
-    shown = picture(item.path.read_bytes(), item.caption, str(item.path)) if item.path.exists() else None
-    data = item.path.with_suffix(".csv")
+def _figure(results: Path, name: str, label: str) -> dict[str, Any]:
+    """Picture of a figure, None if it is missing, with its caption, its table and the command that draws it."""
+    path, caption = results / f"figures/{name}.png", CAPTIONS[name]
+    data = path.with_suffix(".csv")
     return {
-        "label": f"Figure {number}",
-        "caption": item.caption,
-        "picture": shown,
-        "path": str(item.path),
-        "command": item.command,
+        "label": label,
+        "caption": caption,
+        "picture": picture(path.read_bytes(), caption, str(path)) if path.exists() else None,
+        "path": str(path),
+        "command": remaking_command(results, f"figures/{name}.png"),
         "data": str(data) if data.exists() else "",
     }

@@ -1,4 +1,4 @@
-"""`warmlens combine`: the bound from several campaigns, one a lens."""
+"""`warmlens combine`: the bound from several campaigns, one per lens."""
 
 from __future__ import annotations
 
@@ -8,17 +8,18 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
-from rich.markup import escape
 
-from warmlens.artifacts.file import ArtifactError, atomic_path, open_artifact
+from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.inference.bound import HEADLINE, LEVELS
-from warmlens.inference.combine import Combined, combine
+from warmlens.inference.combine import combine
 from warmlens.inference.likelihood import RATIOS, LikelihoodRatio
+from warmlens.report.result import print_warnings
+from warmlens.text import confidence, pair
 
 
 def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, Any]:
-    """Multiply the likelihood ratios of finished campaigns; print the bound, and write its numbers if asked to.
+    """Multiply the likelihood ratios of finished campaigns; print the bound, and write its numbers to `output`.
 
     Raises
     ------
@@ -38,13 +39,31 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
                     f"{folder} and {seen[observed]} are of the same observation, which would count twice"
                 )
             seen[observed] = folder
-            lenses.append(_read(artifact))
+            lenses.append(_read_ratio(artifact))
             warnings += [f"{folder}: {text}" for text in artifact.metadata["warnings"]]
     try:
-        found = combine(lenses)
+        combined = combine(lenses)
     except ValueError as error:
         raise ArtifactError(str(error)) from error
-    numbers = _numbers(found, [str(folder) for folder in results], warnings)
+    numbers = {
+        "lenses": [str(folder) for folder in results],
+        "headline": HEADLINE,
+        "bounds": {
+            name: {
+                "level": level,
+                "value_kev": combined.bounds_kev[name],
+                "mc_error_kev": combined.mc_errors_kev[name],
+                "prior_only_kev": combined.prior_only_kev[name],
+            }
+            for name, level in LEVELS.items()
+        },
+        "likelihood_ratio": {
+            "m_kev": combined.m_kev.tolist(),
+            "ratio": combined.ratio.tolist(),
+            "falls_to": {f"1/{round(1 / ratio)}": combined.falls_to(ratio) for ratio in RATIOS},
+        },
+        "warnings": warnings,
+    }
     _print(numbers)
     if output is not None:
         with atomic_path(output) as temporary:
@@ -52,7 +71,7 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     return numbers
 
 
-def _read(artifact: Any) -> LikelihoodRatio:
+def _read_ratio(artifact: Artifact) -> LikelihoodRatio:
     return LikelihoodRatio(
         artifact.array("likelihood/m_kev"),
         artifact.array("likelihood/ratio"),
@@ -62,39 +81,15 @@ def _read(artifact: Any) -> LikelihoodRatio:
     )
 
 
-def _numbers(found: Combined, names: list[str], warnings: list[str]) -> dict[str, Any]:
-    return {
-        "lenses": names,
-        "headline": HEADLINE,
-        "bounds": {
-            name: {
-                "level": level,
-                "value_kev": found.bounds_kev[name],
-                "mc_error_kev": found.mc_errors_kev[name],
-                "prior_only_kev": found.prior_only_kev[name],
-            }
-            for name, level in LEVELS.items()
-        },
-        "likelihood_ratio": {
-            "m_kev": found.m_kev.tolist(),
-            "ratio": found.ratio.tolist(),
-            "falls_to": {f"1/{round(1 / ratio)}": found.falls_to(ratio) for ratio in RATIOS},
-        },
-        "warnings": warnings,
-    }
-
-
 def _print(numbers: dict[str, Any]) -> None:
     console = Console(highlight=False, soft_wrap=True)
-    for warning in numbers["warnings"]:
-        console.print(f"[bold red]WARNING[/] {escape(warning)}")
+    print_warnings(console, numbers["warnings"])
     bound = numbers["bounds"][numbers["headline"]]
     grid = numbers["likelihood_ratio"]["m_kev"]
     console.print(
-        f"[bold]m_TH > {bound['value_kev']:.2f} +- {bound['mc_error_kev']:.2f} keV[/] "
-        f"({100 * (1 - bound['level']):.2f}% one-sided) from {len(numbers['lenses'])} lenses, uniform prior from "
-        f"{grid[0]:g} to {grid[-1]:g} keV; the prior alone "
-        f"gives {bound['prior_only_kev']:.2f} keV"
+        f"[bold]m_TH > {pair(bound['value_kev'], bound['mc_error_kev'])} keV[/] "
+        f"({confidence(bound)} one-sided) from {len(numbers['lenses'])} lenses, uniform prior from "
+        f"{grid[0]:g} to {grid[-1]:g} keV; the prior alone gives {bound['prior_only_kev']:.2f} keV"
     )
     for name, value in numbers["likelihood_ratio"]["falls_to"].items():
         where = "not within the prior" if value is None else f"{value:.2f} keV"

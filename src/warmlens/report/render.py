@@ -24,49 +24,54 @@ _SYMBOL = re.compile(
 _PIXELS_PER_INCH, _SHOWN_PER_INCH = 300, 130  # of the figures as they are saved, and on the page
 _PLAIN = (0.01, 1000.0)  # numbers that are written without a power of ten
 _PNG = b"\x89PNG\r\n\x1a\n"
+_INLINE = ("page.css", "page.js")
 
 
 @cache
 def environment() -> Environment:
-    """Templates of the package; every value is escaped, and one that is not there is an error."""
-    made = Environment(
+    """Templates of the package; every value is escaped, and a missing one is an error."""
+    templates = Environment(
         loader=PackageLoader("warmlens.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    made.filters |= {
+    templates.filters |= {
         "number": lambda value, digits=2: signed(text.number(value, digits)),
         "plain": lambda value: signed(f"{value:.6g}"),
         "pair": lambda value, error, digits=2: typeset(signed(text.pair(value, error, digits))),
         "error_pair": lambda value, error: typeset(signed(text.error_pair(value, error))),
         "confidence": text.confidence,
         "percent": text.percent,
-        "crossing": lambda found: typeset(text.crossing(found)),
-        "prior_name": lambda name: typeset(text.prior_name(name)),
+        "crossing": lambda fall: typeset(text.crossing(fall)),
         "summary_name": lambda name: typeset(text.summary_name(name)),
-        "own_notes": text.own_notes,
         "duration": text.duration,
+        "headings": headings,
         "typeset": typeset,
         "scientific": scientific,
     }
-    return made
+    return templates
 
 
 def typeset(message: str) -> Markup:
-    """A message of the terminal, escaped, with the signs of print: ±, and the field's symbols with subscripts."""
+    """Escape a message of the terminal; set ± and the field's symbols with their subscripts."""
     escaped = str(Markup.escape(message.replace("+-", "±").replace("chi2_red", "χ²_red")))
     return Markup(_SYMBOL.sub(r"<var>\1</var><sub>\2</sub>", escaped))
 
 
+def headings(html: str) -> list[tuple[str, Markup]]:
+    """Return the identifier and the title of every section of a page."""
+    return [(name, Markup(title)) for name, title in re.findall(r'<section id="(.*?)">\s*<h2>(.*?)</h2>', html)]
+
+
 def signed(value: str) -> str:
-    """A number with a minus sign instead of a hyphen."""
+    """Return a number with a minus sign instead of a hyphen."""
     return f"−{value[1:]}" if value.startswith("-") else value
 
 
 def scientific(value: float, digits: int = 2) -> Markup:
-    """A positive number with a power of ten, unless it is near 1; without digits a mantissa of 1 is left out."""
+    """Write a positive number with a power of ten, unless it is near 1; without digits omit a mantissa of 1."""
     if not value > 0.0 or math.isinf(value) or _PLAIN[0] <= value < _PLAIN[1]:
         return Markup.escape(f"{value:.{digits + 1}g}")
     mantissa, _, exponent = f"{value:.{digits}e}".partition("e")
@@ -76,12 +81,12 @@ def scientific(value: float, digits: int = 2) -> Markup:
 
 
 def picture(png: bytes, alt: str, what: str = "picture") -> dict[str, Any]:
-    """What a template needs of a PNG: source, size on the page [CSS pixels] and description.
+    """Return what a template needs of a PNG: source, size on the page [CSS pixels] and description.
 
     Raises
     ------
     ArtifactError
-        If it is not a PNG; `what` names it.
+        If it is not a PNG; `what` names it in the message.
     """
     if not png.startswith(_PNG) or len(png) < 24:
         raise ArtifactError(f"{what}: not a PNG picture; delete it and run the campaign again")
@@ -92,7 +97,7 @@ def picture(png: bytes, alt: str, what: str = "picture") -> dict[str, Any]:
 
 
 def render(template: str, **values: Any) -> str:
-    """One page, with style and script in it; its content security policy lets it load and run nothing else."""
+    """Render a page with style and script in it; its content security policy lets it load and run nothing else."""
     style, script = (files("warmlens.report").joinpath("templates", name).read_text() for name in _INLINE)
     return (
         environment()
@@ -105,9 +110,6 @@ def render(template: str, **values: Any) -> str:
             **values,
         )
     )
-
-
-_INLINE = ("page.css", "page.js")
 
 
 def _hash(content: str) -> str:

@@ -1,4 +1,4 @@
-"""`warmlens systematics`: one change a campaign, on the same observation, and how bound and scan move with it."""
+"""`warmlens systematics`: campaigns with one change each, on the same observation, and how bound and scan move."""
 
 from __future__ import annotations
 
@@ -26,21 +26,11 @@ from warmlens.config.model import Config
 from warmlens.config.types import Block, Name, ResultsFolder
 from warmlens.config.yaml import read_yaml
 from warmlens.stage_table import campaign_stages, stage_digests
-from warmlens.systematics.table import (
-    NAME,
-    Row,
-    draw_table,
-    failed_row,
-    print_table,
-    prior_rows,
-    read_row,
-    write_table,
-)
+from warmlens.systematics import table
 from warmlens.text import duration
 
 CONFIG = Path("config.yaml")
-OVERLAY, LOG = "overlay.yaml", "systematics.log"
-BASE = "base"
+OVERLAY, LOG, BASE = "overlay.yaml", "systematics.log", "base"
 
 
 class VariantBlock(Block):
@@ -60,23 +50,11 @@ class SystematicsBlock(Block):
     variants: dict[Name, VariantBlock]
 
 
-def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> list[Row]:
-    """Run the base campaign and every variant, as far as they are not finished; write table and figure.
+def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> None:
+    """Run the base campaign and the variants of a `SystematicsBlock` in YAML; write table and figure.
 
-    Parameters
-    ----------
-    path
-        YAML file with a `SystematicsBlock`.
-    cores
-        For Snakemake.
-    base_overlays
-        Make the base campaign in place of those that the file names; table and variants then go to a folder
-        beside its results.
-
-    Returns
-    -------
-    list of Row
-        Base, variants in their order, other halo-mass priors; a variant that failed has its reason.
+    What is finished is kept. `base_overlays` replace those that the file names for the base campaign; table and
+    variants then go to RESULTS_systematics.
 
     Raises
     ------
@@ -85,33 +63,33 @@ def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> list[Row]
     ArtifactError
         If the base campaign fails, or its artifacts are not what they should be.
     """
-    console = Console(highlight=False, soft_wrap=True)
     block = read_systematics(path)
     layers = [CONFIG, *(base_overlays or (Path(name) for name in block.base))]
     base = load_config(layers)
     if base_overlays:
-        block = block.model_copy(update={"results": f"{base.results}_{NAME}"})
+        block = block.model_copy(update={"results": f"{base.results}_{table.NAME}"})
+    folder = Path(block.results)
     overlays = write_overlays(block, base)
     configs = _load_variants(layers, overlays)
+    console = Console(highlight=False, soft_wrap=True)
     started = time.monotonic()
     console.print(f"base campaign: {base.results}")
-    reason = _snakemake(base, layers[1:], "abc", cores, Path(block.results) / f"{BASE}.log")
-    if reason:
+    if reason := _snakemake(base, layers[1:], "abc", cores, folder / f"{BASE}.log"):
         raise ArtifactError(f"the base campaign {base.results} failed: {reason}")
-    rows = [read_row(BASE, BASE, "the campaign that the others differ from", base, None, bound=True)]
+    numbers = table.read_numbers(base, None, bound=True)
+    rows = [table.Row(BASE, BASE, "the campaign that the others differ from", **numbers)]
     for number, (name, variant) in enumerate(block.variants.items(), start=1):
         elapsed = duration(time.monotonic() - started)
         console.print(f"[bold]variant {number} of {len(block.variants)}: {name}[/], {elapsed} so far")
-        row = _run_variant(name, variant, configs[name], base, [*layers[1:], overlays[name]], cores, console)
-        rows.append(row)
-        write_table(Path(block.results), [*rows, *prior_rows(base)])
-    rows += prior_rows(base)
-    write_table(Path(block.results), rows)
-    draw_table(Path(block.results), rows)
+        numbers = _run_variant(variant, configs[name], base, [*layers[1:], overlays[name]], cores, console)
+        rows.append(table.Row(name, variant.group, variant.description, **numbers))
+        table.write_table(folder, [*rows, *table.prior_rows(base)])
+    rows += table.prior_rows(base)
+    table.write_table(folder, rows)
+    table.draw_table(folder, rows)
     console.print(f"{len(block.variants)} variants in {duration(time.monotonic() - started)}")
-    print_table(rows, console)
-    console.print(f"table and figure: {Path(block.results) / NAME}.csv, .json, .png")
-    return rows
+    table.print_table(rows, console)
+    console.print(f"table and figure: {folder / table.NAME}.csv, .json, .png")
 
 
 def read_systematics(path: Path) -> SystematicsBlock:
@@ -119,8 +97,8 @@ def read_systematics(path: Path) -> SystematicsBlock:
     try:
         return SystematicsBlock.model_validate(read_yaml(path))
     except ValidationError as error:
-        lines = [f"{path}: {'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()]
-        raise ConfigError(lines) from None
+        problems = [(".".join(map(str, problem["loc"])), problem["msg"]) for problem in error.errors()]
+        raise ConfigError([f"{path}: {key}: {message}" for key, message in problems]) from None
 
 
 def write_overlays(block: SystematicsBlock, base: Config) -> dict[str, Path]:
@@ -149,46 +127,35 @@ def _load_variants(layers: Sequence[Path], overlays: Mapping[str, Path]) -> dict
 
 
 def _run_variant(
-    name: str,
-    variant: VariantBlock,
-    config: Config,
-    base: Config,
-    overlays: Sequence[Path],
-    cores: int,
-    console: Console,
-) -> Row:
+    variant: VariantBlock, config: Config, base: Config, overlays: Sequence[Path], cores: int, console: Console
+) -> dict[str, Any]:
+    """Branch a variant from the base and run it; return the fields of its `Row`."""
     started = time.monotonic()
     last = "abc" if variant.bound else "observed_summary"
     try:
-        _report(branch(Path(base.results), config), last, console)
+        _print_state(branch(Path(base.results), config), last, console)
         reason = _snakemake(config, overlays, last, cores, Path(config.results) / LOG) or _audit(config, last)
     except ArtifactError as error:
         reason = str(error)
     if reason:
         console.print(f"  [bold red]failed[/] after {duration(time.monotonic() - started)}: {escape(reason)}")
-        return failed_row(name, variant.group, variant.description, config, base, reason)
+        return {"state": table.FAILED, "reason": reason, **table.read_numbers_of_failed(config, base)}
     console.print(f"  done in {duration(time.monotonic() - started)}")
-    return read_row(name, variant.group, variant.description, config, base, bound=variant.bound)
+    return table.read_numbers(config, base, bound=variant.bound)
 
 
-def _report(stages: Sequence[StageBranch], last: str, console: Console) -> None:
+def _print_state(stages: Sequence[StageBranch], last: str, console: Console) -> None:
     names = [stage.stage for stage in stages]
     wanted = stages[: names.index(last) + 1] if last in names else stages
-    there, n_files = (
-        sum(stage.n_linked + stage.n_there for stage in wanted),
-        sum(stage.n_files for stage in wanted),
-    )
-    left = [stage.stage for stage in wanted if not stage.complete]
-    console.print(
-        f"  {there} of {n_files} artifacts are there" + (f"; to make: {', '.join(left)}" if left else "")
-    )
+    n_there, n_files = sum(s.n_linked + s.n_there for s in wanted), sum(s.n_files for s in wanted)
+    left = ", ".join(stage.stage for stage in wanted if not stage.complete)
+    console.print(f"  {n_there} of {n_files} artifacts are there" + (f"; to make: {left}" if left else ""))
 
 
 def _snakemake(config: Config, overlays: Sequence[Path], stage: str, cores: int, log: Path) -> str:
-    """Run the workflow up to a stage; its output goes to `log`. Why it failed, empty if it did not."""
-    target = str(stage_files(config, stage)[0])
+    """Run the workflow up to a stage, its output in `log`; return why it failed, "" if it did not."""
     lift_abandoned_lock(Path(), overlays)
-    command = [SNAKEMAKE, *arguments(cores, overlays, [target])]
+    command = [SNAKEMAKE, *arguments(cores, overlays, [str(stage_files(config, stage)[0])])]
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("w") as handle:
         done = subprocess.run(command, stdout=handle, stderr=subprocess.STDOUT, check=False)
@@ -196,7 +163,7 @@ def _snakemake(config: Config, overlays: Sequence[Path], stage: str, cores: int,
 
 
 def last_words(log: Path) -> str:
-    """What a failed run says last, in the words of the stage that failed if there are any."""
+    """Return the last message of a failed run, that of the stage that failed if there is one."""
     text = re.sub(r"\x1b\[[0-9;]*m", "", log.read_text(errors="replace"))
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     own = [line.partition("warmlens: ")[2] for line in lines if line.startswith("warmlens: ")]
@@ -204,9 +171,8 @@ def last_words(log: Path) -> str:
 
 
 def _audit(config: Config, last: str) -> str:
-    """The first thing that is wrong with the finished artifacts, empty if all is well."""
+    """Return the first problem of the finished artifacts, "" if there is none."""
     stages = campaign_stages(config)
-    wanted = stages if last == stages[-1] else stages[: stages.index(last) + 1]
-    files = {path: stage for stage in wanted for path in stage_files(config, stage)}
+    files = {path: stage for stage in stages[: stages.index(last) + 1] for path in stage_files(config, stage)}
     findings = audit(files, stage_digests(config))
     return f"audit: {findings[0].path}: {findings[0].problem}" if findings else ""
