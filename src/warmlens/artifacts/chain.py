@@ -125,6 +125,7 @@ class Chain:
         """Digest of an input of the stage `user`."""
         if user == "observation":  # made from files of the user
             return input_digest(source)
+        source = source.resolve()  # a results folder may be made of links
         if source not in self._read:
             header = read_header(source)
             self._read[source] = header, input_paths(header)
@@ -168,10 +169,11 @@ def walk(
             sources: set[Path] = set()
             for record in pool.map(compare, files.keys(), files.values()):
                 yield record
+                # those of an observation are files of the user
                 if record.header and not record.findings and record.header.stage != "observation":
-                    sources.update(record.sources.values())  # those of an observation are files of the user
-            files = {source: "" for source in sorted(sources) if source.resolve() not in seen}
-            seen |= {source.resolve() for source in files}
+                    sources.update(path.resolve() for path in record.sources.values())
+            files = {source: "" for source in sorted(sources - seen)}
+            seen |= sources
 
 
 def check_chains(paths: Iterable[Path], expected_settings: Mapping[str, str]) -> None:
@@ -185,7 +187,7 @@ def check_chains(paths: Iterable[Path], expected_settings: Mapping[str, str]) ->
     ArtifactError
         Naming the first artifact that does not fit, and what to do.
     """
-    files = {path: "" for path in paths if path.suffix == ".h5"}
+    files = {path.resolve(): "" for path in paths if path.suffix == ".h5"}
     for record in walk(files, expected_settings, hashed=files):
         record.sound_header()
 
