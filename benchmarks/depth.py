@@ -5,7 +5,7 @@ python benchmarks/depth.py results/paper_cold --samples 1000 --depths 1 10 100 -
 The mocks of a campaign are drawn anew from their deflections, as if the exposure were D times as long, and scanned
 by the campaign's operator. It weighs pixels relative to one another: such an exposure makes every chi2 D times as
 large, and the thresholds of the campaign are for D Delta R. Source and lens keep their freedom. `--amplify` bends
-the light that many times as much, at the depth of the campaign: what haloes would have to do.
+the light that many times as much, at the depth of the campaign: what halos would have to do.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def deeper(noise: NoiseModel, depth: float) -> NoiseModel:
 
 
 class Case(NamedTuple):
-    """Exposure over that of the campaign, and deflections over those of its haloes."""
+    """Exposure over that of the campaign, and deflections over those of its halos."""
 
     depth: float
     amplify: float

@@ -1,9 +1,9 @@
-"""Where the information about the relic mass is lost: from the haloes over their deflection to the scan.
+"""Where the information about the relic mass is lost: from the halos over their deflection to the scan.
 
 python benchmarks/information.py results/paper_cold --json FILE --figure FILE.png
 
 Every rung is a set of numbers a sample, of which the relic mass is regressed (cross-fitted, as `learned` of the
-inference) and then inferred by the same acceptance: counts of subhaloes by bound mass, which a perfect telescope
+inference) and then inferred by the same acceptance: counts of subhalos by bound mass, which a perfect telescope
 would give; the deflection without noise, by the power of its spatial frequencies; what is seen in the scan.
 """
 
@@ -40,7 +40,7 @@ from warmlens.types import FloatArray
 
 mpl.use("agg")
 
-REGION_ARCSEC = 3.0  # subhaloes within are counted: the arcs and what is near them
+REGION_ARCSEC = 3.0  # subhalos within are counted: the arcs and what is near them
 MASS_EDGES = 10.0 ** np.arange(7.0, 11.1, 0.5)  # Msun, bound
 SCALES_ARCSEC = (0.1, 0.2, 0.4, 0.8, 1.6)  # edges of the bands of wavelengths
 WARM_KEV, COLD_KEV = (1.0, 1.5), (4.0, 5.0)
@@ -70,7 +70,7 @@ class Rung:
 
 
 def halo_numbers(config: Config) -> Iterator[FloatArray]:
-    """Subhaloes above each mass of `MASS_EDGES` in the region, a chunk at a time [n, n_masses]."""
+    """Subhalos above each mass of `MASS_EDGES` in the region, a chunk at a time [n, n_masses]."""
     for path in stage_files(config, "halos"):
         with open_artifact(path, "halos") as artifact:
             names = ("offsets", "m_bound", "x_arcsec", "y_arcsec")
@@ -112,7 +112,7 @@ def rungs(config: Config) -> dict[str, FloatArray]:
 
     found = {"": samples.parameters}
     for first, name in ((0, "1e7"), (2, "1e8"), (3, "3e8"), (4, "1e9")):
-        found[f"haloes: masses above {name}"] = counts[:, first:]
+        found[f"halos: masses above {name}"] = counts[:, first:]
     found["deflection: rms"] = power[:, -1:]
     found['deflection: power at 0.1-0.2"'] = power[:, -2:-1]
     found["deflection: power at all scales"] = power[:, :-1]

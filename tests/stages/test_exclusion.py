@@ -81,7 +81,7 @@ def _settings(**changes: object) -> ExclusionSettings:
     )
 
 
-def test_light_haloes_are_excluded(tmp_path: Path) -> None:
+def test_light_halos_are_excluded(tmp_path: Path) -> None:
     run_stage("exclusion", _settings(), **_campaign(tmp_path, failed=(3,)))
     with open_artifact(tmp_path / "exclusion.h5", "exclusion") as artifact:
         meta, accepted = artifact.metadata, artifact.array("nodes/n_accepted")

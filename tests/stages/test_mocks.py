@@ -76,7 +76,7 @@ def _lens(folder: Path) -> dict[str, Path]:
     return {"observation": folder / "observation.h5", "smooth_model": folder / "smooth_model.h5"}
 
 
-def test_deflections_are_those_of_the_subhaloes(config: Config, folder: Path) -> None:
+def test_deflections_are_those_of_the_subhalos(config: Config, folder: Path) -> None:
     grid = read_observation(folder / "observation.h5").grid
     _, lens = geometry(config.cosmology, config.redshifts)
     with open_artifact(folder / "halos.h5", "halos") as artifact:
@@ -101,7 +101,7 @@ def test_other_filters(config: Config, folder: Path, kind: str) -> None:
     assert 0.8 < np.corrcoef(other.ravel(), gaussian.ravel())[0, 1] < 0.9999
 
 
-def test_smooth_host_is_the_halo_without_its_subhaloes(config: Config, folder: Path) -> None:
+def test_smooth_host_is_the_halo_without_its_subhalos(config: Config, folder: Path) -> None:
     with_host = _deflect(_with(config, "deflections", smooth_host=True), folder, "host.h5")
     grid = read_observation(folder / "observation.h5").grid
     _, lens = geometry(config.cosmology, config.redshifts)

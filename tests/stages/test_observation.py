@@ -113,7 +113,7 @@ def test_supersampling_converges(ci: Config, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("overlays", SIMULATED, ids=lambda names: "-".join(names) or "paper")
-def test_fields_of_subhaloes_reach_beyond_the_images(overlays: list[str]) -> None:
+def test_fields_of_subhalos_reach_beyond_the_images(overlays: list[str]) -> None:
     config = load_config([ROOT / "config.yaml", *(ROOT / f"workflow/configs/{name}.yaml" for name in overlays)])
     block = config.observation.simulated
     grid = PixelGrid.centred(block.shape, block.pixel_scale_arcsec)

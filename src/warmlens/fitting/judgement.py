@@ -173,6 +173,6 @@ def _misfit_of_bright_arcs(name: str, chi2: ArcChi2 | None) -> list[str]:
             return [
                 f"{name}: chi2 a pixel is {chi2.bright:.2f} where the arcs exceed {_BRIGHT_ARC:g} sigma "
                 f"({chi2.n_bright} pixels) and {chi2.faint:.2f} where they are fainter: source, PSF or lens do "
-                "not follow the image where it says most; no mock has such a misfit, and it looks like subhaloes"
+                "not follow the image where it says most; no mock has such a misfit, and it looks like subhalos"
             ]
     return []
