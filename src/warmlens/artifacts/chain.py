@@ -172,7 +172,7 @@ def walk(
                 # those of an observation are files of the user
                 if record.header and not record.findings and record.header.stage != "observation":
                     sources.update(path.resolve() for path in record.sources.values())
-            files = {source: "" for source in sorted(sources - seen)}
+            files = dict.fromkeys(sorted(sources - seen), "")
             seen |= sources
 
 
