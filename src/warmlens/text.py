@@ -30,39 +30,39 @@ _ARCSEC = ("theta_E", "center_x", "center_y", "ra_0", "dec_0", "R_sersic", "beta
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """A number with fixed decimals; "none" for None and NaN."""
+    """Return a number with fixed decimals; "none" for None and NaN."""
     return "none" if value is None or math.isnan(value) else f"{value:.{digits}f}"
 
 
 def pair(value: float, error: float | None, digits: int = 2) -> str:
-    """A value and its error, if there is one."""
+    """Return a value and its error, if there is one."""
     return number(value, digits) if error is None else f"{number(value, digits)} +- {number(error, digits)}"
 
 
 def error_pair(value: float, error: float) -> str:
-    """A value and its error, both with the decimals that show two digits of the error."""
+    """Return a value and its error, both with the decimals that show two digits of the error."""
     if not 0.0 < error < math.inf:
         return f"{value:.6g}"
     return pair(value, error, max(0, 1 - math.floor(math.log10(error))))
 
 
 def confidence(bound: Mapping[str, Any]) -> str:
-    """One-sided credibility of a lower bound that is the `level` quantile of the posterior."""
+    """Return the one-sided credibility of a lower bound that is the `level` quantile of the posterior."""
     return f"{100.0 * (1.0 - bound['level']):.6g}%"
 
 
 def percent(fraction: float, digits: int = 1) -> str:
-    """A fraction in per cent."""
+    """Return a fraction in per cent."""
     return f"{100.0 * fraction:.{digits}f}%"
 
 
 def crossing(fall: Mapping[str, Any]) -> str:
-    """Relic mass at which the likelihood ratio has fallen to a value."""
+    """Return the relic mass at which the likelihood ratio has fallen to a value."""
     return "not within the prior" if fall["m_kev"] is None else f"{pair(fall['m_kev'], fall['mc_error_kev'])} keV"
 
 
 def bound_cells(bound: Mapping[str, Any], headline: Mapping[str, Any]) -> dict[str, Any]:
-    """A bound of abc.json [keV], that of the prior alone, the ESS, and the warnings that the headline lacks."""
+    """Return a bound of abc.json [keV], that of the prior alone, its ESS, and the warnings that only it has."""
     notes = [
         warning
         for warning in bound["warnings"]
@@ -95,12 +95,12 @@ def summary_name(name: str) -> str:
 
 
 def parameter_unit(name: str) -> str:
-    """Unit of a parameter of the smooth model such as lens_0.theta_E; "" for pure numbers."""
+    """Return the unit of a parameter of the smooth model such as lens_0.theta_E; "" for pure numbers."""
     return "arcsec" if name.rpartition(".")[2] in _ARCSEC else ""
 
 
 def duration(seconds: float) -> str:
-    """Seconds, minutes or hours, whole ones."""
+    """Return the seconds, minutes or hours, whole ones."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     if hours:

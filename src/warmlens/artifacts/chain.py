@@ -122,7 +122,7 @@ class Chain:
                 yield Finding(header.path, f"{label} cannot be read: {error}", "inputs", error)
 
     def _digest(self, source: Path, user: str) -> str:
-        """Digest of an input of the stage `user`."""
+        """Return the digest of an input of the stage `user`."""
         if user == "observation":  # made from files of the user
             return input_digest(source)
         source = source.resolve()  # a results folder may be made of links

@@ -116,7 +116,7 @@ class Artifact(Header):
         return Header(**{name: getattr(self, name) for name in Header.__dataclass_fields__})
 
     def __getitem__(self, name: str) -> h5py.Dataset:
-        """Dataset `name`, not yet read."""
+        """Return dataset `name`, not yet read."""
         if name not in self.names:
             raise ArtifactError(f"{self.path}: has no dataset {name!r}; it was written by other code: {_REMEDY}")
         return self.file[name]
@@ -295,7 +295,7 @@ def _fixed_length(texts: Sequence[str]) -> npt.NDArray[np.bytes_]:
 
 
 def _chunk_shape(data: npt.NDArray[Any]) -> tuple[int, ...]:
-    """Chunks of whole rows along the first axis, about 1 MiB each."""
+    """Return the chunks of whole rows along the first axis, about 1 MiB each."""
     row_bytes = max(1, data[:1].nbytes)
     rows = int(np.clip(2**20 // row_bytes, 1, data.shape[0]))
     return (rows, *data.shape[1:])

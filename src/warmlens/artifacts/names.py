@@ -31,10 +31,10 @@ ANSWER_FILES = {"abc": (TABLE, NUMBERS), "exclusion": (EXCLUSION_TABLE, EXCLUSIO
 
 
 def sample_page(sample: int) -> str:
-    """Path of the page of a sample under the results folder."""
+    """Return the path of the page of a sample under the results folder."""
     return f"samples/sample-{sample:07d}.html"
 
 
 def results_folder(path: Path, stage: str) -> Path:
-    """Results folder that the artifact `path` of a stage lies in."""
+    """Return the results folder that the artifact `path` of a stage lies in."""
     return path.parents[STAGES[stage].output.count("/") if stage in STAGES else 1]

@@ -81,7 +81,7 @@ def _broken_links(record: Record) -> list[str]:
 
 
 def age_seconds(created_utc: str, now: datetime) -> float | None:
-    """Seconds since a time in UTC, negative if a clock was set back; None if the text is no time."""
+    """Return the seconds since a time in UTC, negative if a clock was set back; None if the text is no time."""
     try:
         created = datetime.fromisoformat(created_utc)
     except ValueError:
@@ -90,7 +90,7 @@ def age_seconds(created_utc: str, now: datetime) -> float | None:
 
 
 def age(created_utc: str, now: datetime) -> str:
-    """Time since a time in UTC, in words."""
+    """Return the time since a time in UTC, in words."""
     seconds = age_seconds(created_utc, now)
     if seconds is None:
         return "unknown"

@@ -98,7 +98,7 @@ def _check_folders(base: Path, target: Path, config: Config) -> None:
 
 
 def _fits(chain: Chain, path: Path, place: Path, stage: str) -> bool:
-    """Whether the artifact `path` is what the campaign needs at `place`."""
+    """Return whether the artifact `path` is what the campaign needs at `place`."""
     if not path.exists():
         return False
     findings = chain.compare(path, stage, place=place).findings

@@ -104,7 +104,7 @@ def forget_gone(folder: Path, place: Path = _RECORDS) -> None:
 
 
 def is_locked(folder: Path) -> bool:
-    """Whether Snakemake would refuse to start in `folder`."""
+    """Return whether Snakemake would refuse to start in `folder`."""
     return any((folder / _LOCKS).glob("*"))
 
 

@@ -42,7 +42,7 @@ def check_unrecorded(
 
 
 def is_recorded(folder: Path, output: Path) -> bool:
-    """Whether the Snakemake of a working folder has a record of how it made a file of a rule."""
+    """Return whether the Snakemake of a working folder has a record of how it made a file of a rule."""
     name = base64.urlsafe_b64encode(str(output).encode()).decode()
     length = os.pathconf(folder, "PC_NAME_MAX") - 1  # longer ones are split into folders
     *above, last = (name[i : i + length] for i in range(0, len(name), length))

@@ -75,7 +75,7 @@ def campaign_status(config: Config) -> list[StageStatus]:
 
 
 def _written_ns(path: Path) -> int | None:
-    """When a file was written [ns], None if it is not there: Snakemake removes what it is about to recompute."""
+    """Return when a file was written [ns]; None if Snakemake has removed it, to recompute it."""
     try:
         return path.stat().st_mtime_ns
     except FileNotFoundError:

@@ -49,7 +49,7 @@ class GroupedSummaries:
     models: tuple[Group, ...]
 
     def members(self, panel: Group) -> Iterator[tuple[int, IntArray]]:
-        """Number of each model that has samples in a panel, and these samples."""
+        """Return the number of each model that has samples in a panel, and these samples."""
         for number, model in enumerate(self.models):
             rows = np.intersect1d(panel.rows, model.rows)
             if rows.size:

@@ -59,7 +59,7 @@ class SourceBasis:
     clumps: tuple[ShapeletSet, ...] = ()
 
     def sets(self, center: FloatArray, beta: float) -> tuple[ShapeletSet, ...]:
-        """Shapelet sets about a centre [2] [arcsec] on a scale [arcsec]."""
+        """Return the shapelet sets about a centre [2] [arcsec] on a scale [arcsec]."""
         x, y = float(center[0]), float(center[1])
         clumps = (
             ShapeletSet(c.n_max, beta * c.beta, x + beta * c.center_x, y + beta * c.center_y) for c in self.clumps
@@ -281,7 +281,7 @@ class ImageModel:
         return deflection(self.lens_models, macro.kwargs_lens, x, y)
 
     def _light(self, macro: Macro, components: Sequence[int]) -> FloatArray:
-        """Light per pixel for amplitude 1, before the PSF [component, ny, nx]."""
+        """Return the light per pixel for amplitude 1, before the PSF [component, ny, nx]."""
         names = [self.light_models[i] for i in components]
         kwargs = [macro.kwargs_light[i] for i in components]
         return light_images(names, kwargs, self.grid, self.supersampling)
@@ -298,7 +298,7 @@ class ImageModel:
         return deflection([self.lens_models[parameter.component]], [kwargs], x, y)
 
     def _deflection_derivative(self, solution: Solution, j: int) -> tuple[FloatArray, FloatArray]:
-        """d alpha / dp at the rays [2, npix, s2] and at the quasar images [2, n_quasars]."""
+        """Return d alpha / dp at the rays [2, npix, s2] and at the quasar images [2, n_quasars]."""
         parameter = self.space.parameters[j]
         quasars = solution.macro.quasars.T
         if parameter.key == "coeffs":
@@ -312,7 +312,7 @@ class ImageModel:
         return at_rays, at_quasars
 
     def _lights_of(self, parameter: Parameter) -> list[int]:
-        """Light components that a parameter shapes."""
+        """Return the light components that a parameter shapes."""
         if parameter.kind == "light":
             return [parameter.component]
         if parameter.kind == "lens" and parameter.key in ("center_x", "center_y"):
@@ -320,14 +320,14 @@ class ImageModel:
         return []
 
     def _macros_beside(self, vector: FloatArray, j: int) -> tuple[Macro, Macro]:
-        """Models one step of parameter j above a vector and one below."""
+        """Return the models one step of parameter j above a vector and one below."""
         above, below = vector.copy(), vector.copy()
         above[j] += self.space.parameters[j].step
         below[j] -= self.space.parameters[j].step
         return self.space.macro(above), self.space.macro(below)
 
     def _traced_derivative(self, solution: Solution, parameter: Parameter) -> FloatArray:
-        """d beta / d theta of one quasar image, zero for the others [n_quasars, 2]."""
+        """Return d beta / d theta of one quasar image, zero for the others [n_quasars, 2]."""
         out = np.zeros_like(solution.quasar_sources)
         shift = np.zeros((2, 2))
         shift[parameter.element] = (_QUASAR_STEP, -_QUASAR_STEP)
@@ -345,5 +345,5 @@ class ImageModel:
 
 
 def _about_mean(points: FloatArray) -> FloatArray:
-    """Points less their mean along the first axis, of which there may be none."""
+    """Return the points less their mean along the first axis, of which there may be none."""
     return points - points.mean(axis=0) if len(points) else points

@@ -98,14 +98,14 @@ def judge_fit(block: SmoothModelBlock, observed: Observation, fitted: LensFit, m
 
 
 def band_residuals(band: Band, model: SmoothModel, outside_cores: BoolArray) -> Residuals:
-    """Residuals of a band outside the quasars' cores [ny, nx]."""
+    """Return the residuals of a band outside the quasars' cores [ny, nx]."""
     fit = model.fits[band.name]
     used = band.mask & np.isfinite(fit.sigma) & outside_cores
     return Residuals(used, np.where(used, (band.image - fit.model) / fit.sigma, 0.0))
 
 
 def _unfinished(fitted: LensFit) -> list[str]:
-    """Problems of the search for the best parameters."""
+    """Return the problems of the search for the best parameters."""
     problems = []
     if not fitted.converged:
         steps = fitted.history[-1].evaluations
@@ -123,7 +123,7 @@ def _unfinished(fitted: LensFit) -> list[str]:
 
 
 def unresolved_pixels(observed: Observation, model: SmoothModel, name: str) -> FloatArray:
-    """Changes [sigma] of the pixels that a deflection of 1 mas changes by more than 3 sigma and their arc's light.
+    """Return the changes [sigma] of pixels that 1 mas of deflection changes by more than 3 sigma and their arc's light.
 
     Structure of the source that is far smaller than the distance of rays can fit single pixels with any amplitude.
     chi2 does not show it, but in a mock the slightest deflection moves the rays off it.
@@ -154,7 +154,7 @@ def _correlation_beyond_noise(band: Band, correlation: FloatArray) -> list[str]:
 
 
 def chi2_of_arcs(model: SmoothModel, name: str, residuals: Residuals) -> ArcChi2 | None:
-    """chi2 per pixel of a band where the arcs are bright and where they are faint; None without either."""
+    """Return chi2 per pixel of a band where the arcs are bright and where they are faint; None without either."""
     fit = model.fits[name]
     light = (fit.model - fit.fixed_image) / fit.sigma
     bright = residuals.used & (light > _BRIGHT_ARC)

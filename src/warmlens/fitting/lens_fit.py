@@ -205,7 +205,7 @@ class _FitState:
         self._set_model(replace(self.model, bands=tuple(bands)))
 
     def _noise(self, i: int) -> FloatArray:
-        """Noise of band i [ny, nx] [e-/s], inf where masked: of the model's image, or as it was observed.
+        """Return the noise of band i [ny, nx] [e-/s], inf where masked: of the model's image, or as observed.
 
         Poisson noise estimated from the data themselves is too small wherever the noise is negative, which pulls
         every fit down; and the mocks have no such thing. Pixels that the fit leaves out keep the noise of their
@@ -219,7 +219,7 @@ class _FitState:
         return np.where(data.mask, data.noise.sigma(image.reshape(data.image.shape)), np.inf)
 
     def _quasar_light(self, i: int) -> tuple[FloatArray, FloatArray]:
-        """Image of the point sources of band i [ny, nx], and their fluxes [n_quasars]."""
+        """Return the image of the point sources of band i [ny, nx], and their fluxes [n_quasars]."""
         quasars, grid, psf = self.solution.macro.quasars, self.model.grid, self.model.bands[i].psf
         fluxes = self.solution.bands[i].fixed_amplitudes[: len(quasars)]
         images = [flux * point_source(psf, grid, x, y) for flux, (x, y) in zip(fluxes, quasars, strict=True)]
@@ -267,7 +267,7 @@ def first_model(block: SmoothModelBlock, observed: Observation) -> ImageModel:
 
 
 def _first_bands(block: SmoothModelBlock, observed: Observation, psf: PsfFitBlock | None) -> tuple[FitBand, ...]:
-    """Bands with the noise of the data, and with smooth wings of a PSF that is going to be corrected."""
+    """Return the bands with the noise of the data, and smooth wings of a PSF that will be corrected."""
     usable, scale = usable_pixels(block, observed.grid), observed.grid.pixel_scale
     bands = []
     for band in observed.bands:
@@ -277,7 +277,7 @@ def _first_bands(block: SmoothModelBlock, observed: Observation, psf: PsfFitBloc
 
 
 def usable_pixels(block: SmoothModelBlock, grid: PixelGrid) -> BoolArray:
-    """Pixels within the disc of the fit and outside the masked core of the lens [ny, nx]."""
+    """Return the pixels within the disc of the fit and outside the masked core of the lens [ny, nx]."""
     kwargs = block.lens.kwargs_lens[0] if block.lens.kwargs_lens else {}
     x, y = grid.coordinates()
     distance = np.hypot(x - kwargs.get("center_x", 0.0), y - kwargs.get("center_y", 0.0))
@@ -286,7 +286,7 @@ def usable_pixels(block: SmoothModelBlock, grid: PixelGrid) -> BoolArray:
 
 
 def outside_cores(block: SmoothModelBlock, grid: PixelGrid, quasars: FloatArray) -> BoolArray:
-    """Pixels farther than `quasar_core_arcsec` from every quasar image at positions [n, 2]: [ny, nx]."""
+    """Return the pixels [ny, nx] farther than `quasar_core_arcsec` from every quasar image at positions [n, 2]."""
     x, y = grid.coordinates()
     near = [np.hypot(x - qx, y - qy) < block.quasar_core_arcsec for qx, qy in quasars]
     return ~np.any(near, axis=0) if near else np.ones(grid.shape, dtype=bool)

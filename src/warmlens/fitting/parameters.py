@@ -140,7 +140,7 @@ class ParameterSpace:
         return Macro(lens, light, quasars, beta)
 
     def at_limit(self, vector: FloatArray) -> BoolArray:
-        """Whether each parameter lies within 1e-3 of its range of a limit [n]."""
+        """Return whether each parameter lies within 1e-3 of its range of a limit [n]."""
         lower, upper = self.limits
         return np.minimum(vector - lower, upper - vector) < 1e-3 * (upper - lower)
 
@@ -178,7 +178,7 @@ def free_parameters(
 
 
 def quasar_parameters(positions: FloatArray, sigma: float) -> list[Parameter]:
-    """Image positions [n, 2] with a Gaussian prior of `sigma` and hard limits at ten of it [arcsec]."""
+    """Return the image positions [n, 2] with a Gaussian prior of `sigma` and hard limits at ten of it [arcsec]."""
     return [
         Parameter("quasar", i, "position", axis, float(value), value - 10 * sigma, value + 10 * sigma, sigma)
         for i, position in enumerate(positions)
@@ -187,7 +187,7 @@ def quasar_parameters(positions: FloatArray, sigma: float) -> list[Parameter]:
 
 
 def shapelet_parameters(component: int, coefficients: Sequence[float], sigma: float) -> list[Parameter]:
-    """Coefficients of the potential shapelets, priors about 0 or about those given, limits at 20 sigma."""
+    """Return the coefficients of potential shapelets, priors about 0 or about those given, limits at 20 sigma."""
     return [
         Parameter("lens", component, "coeffs", i, float(v), v - 20 * sigma, v + 20 * sigma, sigma)
         for i, v in enumerate(coefficients)
@@ -195,6 +195,6 @@ def shapelet_parameters(component: int, coefficients: Sequence[float], sigma: fl
 
 
 def beta_parameter(start: float, free: tuple[float, float, float | None]) -> Parameter:
-    """Scale of the source's global shapelets, with (lower, upper, prior sigma or None) [arcsec]."""
+    """Return the scale of the source's global shapelets, with (lower, upper, prior sigma or None) [arcsec]."""
     lower, upper, sigma = free
     return Parameter("source", 0, "beta", None, start, lower, upper, sigma or math.inf)

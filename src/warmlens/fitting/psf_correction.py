@@ -50,7 +50,7 @@ class PsfError:
 
 
 def kernel_radius(psf: FloatArray, pixel_scale: float) -> FloatArray:
-    """Distance of every kernel pixel from the middle one [arcsec]."""
+    """Return the distance of every kernel pixel from the middle one [arcsec]."""
     half = psf.shape[0] // 2
     axis = np.arange(-half, half + 1) * pixel_scale
     return np.hypot(axis[:, None], axis[None, :])
@@ -104,7 +104,7 @@ def corrected_psf(
 
 
 def _correction_columns(grid: PixelGrid, quasars: FloatArray, fluxes: FloatArray, inside: BoolArray) -> FloatArray:
-    """Image of each corrected kernel pixel, all quasars together [n_kernel, npix]."""
+    """Return the image of each corrected kernel pixel, all quasars together [n_kernel, npix]."""
     rows, columns = np.argwhere(inside).T - inside.shape[0] // 2
     reach = int(max(np.abs(rows).max(), np.abs(columns).max()))
     delta = np.ones((1, 1))

@@ -175,7 +175,7 @@ def hst_like_psf(
 
 
 def _jinc(x: FloatArray) -> FloatArray:
-    """2 J1(x) / x, 1 at 0."""
+    """Return 2 J1(x) / x, 1 at 0."""
     safe = np.where(x > 1e-8, x, 1.0)
     return np.where(x > 1e-8, 2.0 * special.j1(safe) / safe, 1.0)
 

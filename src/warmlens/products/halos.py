@@ -53,7 +53,7 @@ def check_finite(halo: HaloRealization) -> None:
 
 
 def halo_datasets(realizations: Sequence[HaloRealization | None]) -> dict[str, Dataset]:
-    """Subhalos in CSR layout and the whole-halo statistics; nothing (0 or NaN) for failed samples."""
+    """Return the subhalos in CSR layout and the whole-halo statistics; nothing (0 or NaN) for failed samples."""
     in_field = [r.subhalos if r else _NO_SUBHALOS for r in realizations]
     sizes = [len(item.m_bound) for item in in_field]
     offsets = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
@@ -85,6 +85,6 @@ _NO_SUBHALOS = Subhalos(**{field.name: _EMPTY for field in dataclasses.fields(Su
 
 
 def read_subhalos(halos: Artifact, row: int) -> Subhalos:
-    """Subhalos in the field of one sample."""
+    """Read the subhalos in the field of one sample."""
     start, stop = halos.array("subhalos/offsets", slice(row, row + 2))
     return Subhalos(**{name: halos.array(f"subhalos/{name}", slice(start, stop)) for name in COLUMNS})

@@ -58,12 +58,12 @@ def read_band(name: str, block: FitsBandBlock) -> tuple[PixelGrid, Band]:
 
 
 def input_files(block: FitsBandBlock) -> dict[str, Path]:
-    """Paths of the files that a band is read from, by the name of their key."""
+    """Return the paths of the files that a band is read from, by the name of their key."""
     return {key: expand_path(getattr(block, key)) for key in FITS_FILES if getattr(block, key) is not None}
 
 
 def _mask(image: FloatArray, maps: dict[str, FloatArray], block: FitsBandBlock) -> BoolArray:
-    """Pixels that are used: 1 in the mask, and of positive weight."""
+    """Return the pixels that are used: 1 in the mask, and of positive weight."""
     mask = np.ones(image.shape, dtype=bool)
     if "mask" in maps:
         if not np.isfinite(maps["mask"]).all():
@@ -75,7 +75,7 @@ def _mask(image: FloatArray, maps: dict[str, FloatArray], block: FitsBandBlock) 
 
 
 def _sigma_map(maps: dict[str, FloatArray]) -> FloatArray:
-    """Noise per pixel from a map of it or of the inverse variance, NaN where there is no weight."""
+    """Return the noise per pixel from a map of it or of the inverse variance, NaN where there is no weight."""
     if "sigma" in maps:
         return maps["sigma"]
     return 1.0 / np.sqrt(np.where(maps["weight"] > 0, maps["weight"], np.nan))
@@ -84,7 +84,7 @@ def _sigma_map(maps: dict[str, FloatArray]) -> FloatArray:
 def _noise_correlation(
     grid: PixelGrid, band: Band, maps: dict[str, FloatArray], block: FitsBandBlock
 ) -> FloatArray | None:
-    """Correlation of the noise from the user's file, or as measured in blank sky; None: independent pixels."""
+    """Return the correlation of the noise from the user's file or from blank sky; None: independent pixels."""
     radius, where = block.blank_sky_arcsec, block.noise_correlation
     if radius is not None:
         where = f"observation.fits.{band.name}.blank_sky_arcsec: {radius:g}"
@@ -99,7 +99,7 @@ def _noise_correlation(
 
 
 def blank_sky(grid: PixelGrid, band: Band, radius_arcsec: float) -> BoolArray:
-    """Unmasked pixels farther than a radius from the origin [ny, nx]."""
+    """Return the unmasked pixels farther than a radius from the origin [ny, nx]."""
     return (np.hypot(*grid.coordinates()) > radius_arcsec) & band.mask
 
 
@@ -163,7 +163,7 @@ def read_fits(blocks: dict[str, FitsBandBlock]) -> Observation:
 
 
 def artifact_path(block: ObservationBlock) -> Path:
-    """Path of the other campaign's observation that `kind: artifact` takes its bands from; it must exist."""
+    """Return the path of the observation that `kind: artifact` takes its bands from; it must exist."""
     assert block.artifact is not None  # config: kind artifact comes with its path
     path = expand_path(block.artifact)
     if not path.is_file():

@@ -20,7 +20,7 @@ RATE = "electron / s"
 
 
 def observation_datasets(observation: Observation) -> tuple[dict[str, Dataset], dict[str, Any]]:
-    """Datasets and metadata of an observation."""
+    """Return the datasets and metadata of an observation."""
     datasets: dict[str, Dataset] = {}
     for band in observation.bands:
         datasets |= {
@@ -46,7 +46,7 @@ def observation_datasets(observation: Observation) -> tuple[dict[str, Dataset], 
 
 
 def read_observation(path: Path) -> Observation:
-    """Observation of an artifact."""
+    """Read the observation of an artifact."""
     with open_artifact(path, "observation") as artifact, reading(path):
         grid = _grid(artifact.metadata["grid"])
         bands = tuple(
@@ -80,7 +80,7 @@ def _grid(stored: dict[str, Any]) -> PixelGrid:
 
 
 def copy_bands(source: Path, bands: Sequence[str]) -> tuple[dict[str, Dataset], dict[str, Any]]:
-    """Datasets and metadata of some bands of another observation; with all of them, its content exactly.
+    """Return the datasets and metadata of some bands of another observation; of all bands its exact content.
 
     Raises
     ------

@@ -18,7 +18,7 @@ def by_band(artifact: Artifact, name: str, row: int | None = None) -> dict[str, 
 
 
 def read_response(artifact: Artifact, row: int | None = None) -> LinearResponse | None:
-    """Score and Fisher information of all bands together; None without the amplitude among the statistics."""
+    """Read score and Fisher information of all bands together; None if the statistics lack the amplitude."""
     bands = artifact.metadata["bands"]
     if f"{bands[0]}/score" not in artifact.file:
         return None
@@ -30,7 +30,7 @@ def read_response(artifact: Artifact, row: int | None = None) -> LinearResponse 
 
 
 def read_sensitivity(artifact: Artifact, response: LinearResponse | None) -> tuple[FloatArray, str]:
-    """The smallest mass that would be seen, or else the error of the amplitude, and what it is; NaN: not known."""
+    """Read the smallest mass that would be seen, or else the error of the amplitude, and its label; NaN: not known."""
     if "sensitivity/min_mass" in artifact.file:
         delta_r = artifact.settings["scan"]["sensitivity"]["delta_r"]
         return artifact.array("sensitivity/min_mass"), rf"$M(\Delta R = {-delta_r:g})$ [M$_\odot$]"
@@ -41,7 +41,7 @@ def read_sensitivity(artifact: Artifact, response: LinearResponse | None) -> tup
 
 
 def raster_grid(artifact: Artifact) -> PixelGrid:
-    """Positions of a scan as the pixels of a map."""
+    """Return the positions of a scan as the pixels of a map."""
     x, y = artifact.array("raster/x"), artifact.array("raster/y")
     ny, nx = x.shape
     step = float(artifact.settings["scan"]["step_arcsec"])

@@ -10,7 +10,7 @@ from warmlens.scan.operator import BandProjection, OperatorShard
 
 
 def design_datasets(band: str, model: LinearModel, projection: BandProjection) -> dict[str, Dataset]:
-    """Datasets of the scan design of one band."""
+    """Return the datasets of the scan design of one band."""
     square = ("column", "column")
     return {
         f"{band}/design": Dataset(model.design, "", ("pixel", "column"), "whitened columns of unit norm, A"),
@@ -30,7 +30,7 @@ def design_datasets(band: str, model: LinearModel, projection: BandProjection) -
 
 
 def read_linear_model(design: Artifact, band: str) -> LinearModel:
-    """Linear model of one band."""
+    """Read the linear model of one band."""
     return LinearModel(
         design=design.array(f"{band}/design"),
         column_norms=design.array(f"{band}/column_norms"),
@@ -41,7 +41,7 @@ def read_linear_model(design: Artifact, band: str) -> LinearModel:
 
 
 def read_projection(design: Artifact, band: str) -> BandProjection:
-    """What all shards of the operator share, of one band."""
+    """Read what all shards of the operator share, of one band."""
     return BandProjection(
         design.array(f"{band}/projected"), design.array(f"{band}/overlap"), design.metadata["n_image_columns"]
     )
@@ -70,7 +70,7 @@ _RESPONSE = {
 
 
 def shard_datasets(band: str, shard: OperatorShard) -> dict[str, Dataset]:
-    """Datasets of a shard of the scan operator of one band."""
+    """Return the datasets of a shard of the scan operator of one band."""
     described = {**_SHARD, "sensitivity": _SENSITIVITY}
     if shard.responses.size:
         described |= _RESPONSE
@@ -81,7 +81,7 @@ def shard_datasets(band: str, shard: OperatorShard) -> dict[str, Dataset]:
 
 
 def read_shard(artifact: Artifact, band: str, *, sensitivity: bool) -> OperatorShard:
-    """Shard of the scan operator of one band; `sensitivity` is half of it, and only residual maps need it."""
+    """Read the shard of one band; `sensitivity` is half of it, and only residual maps need that."""
     arrays = {name: artifact.array(f"{band}/{name}") for name in _SHARD}
     arrays["sensitivity"] = artifact.array(f"{band}/sensitivity") if sensitivity else np.empty(0)
     for name in _RESPONSE:

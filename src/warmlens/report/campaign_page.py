@@ -67,7 +67,7 @@ def report_html(campaign: Mapping[str, Any], provenance: CampaignProvenance) -> 
 
 
 def bound_rows(meta: Mapping[str, Any]) -> dict[str, list[dict[str, Any]]]:
-    """Rows of the tables of bounds: at every level, under the other rules, and under the other priors."""
+    """Return the rows of the tables of bounds: at every level, under other rules, and under other priors."""
     headline = meta["bounds"][meta["headline"]]
     labelled = {
         "levels": [(name, f"{name} ({confidence(bound)})", bound) for name, bound in meta["bounds"].items()],
@@ -101,7 +101,7 @@ def _some(names: Sequence[str], most: int = 4) -> str:
 
 
 def _figure(results: Path, name: str, label: str) -> dict[str, Any]:
-    """Picture of a figure, None if it is missing, with its caption, its table and the command that draws it."""
+    """Return the picture of a figure (None if missing), its caption, its table and the command that draws it."""
     path, caption = results / f"figures/{name}.png", CAPTIONS[name]
     data = path.with_suffix(".csv")
     return {

@@ -91,7 +91,7 @@ def stage_costs(artifacts: Mapping[str, Header], benchmarks: Path) -> list[dict[
 
 
 def peak_memory(benchmarks: Path, stage: str) -> float | None:
-    """Largest resident memory [MiB] in Snakemake's benchmark files of a stage; None if there is none."""
+    """Return the largest resident memory [MiB] in the benchmark files of a stage; None without such a file."""
     peaks = []
     single = [benchmarks / Path(SINGLE[stage]).with_suffix(".tsv")] if stage in SINGLE else []
     for path in (benchmarks / f"{stage}.tsv", *single, *sorted((benchmarks / stage).glob("*.tsv"))):

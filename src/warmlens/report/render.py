@@ -29,7 +29,7 @@ _INLINE = ("page.css", "page.js")
 
 @cache
 def environment() -> Environment:
-    """Templates of the package; every value is escaped, and a missing one is an error."""
+    """Return the templates of the package; every value is escaped, and a missing one is an error."""
     templates = Environment(
         loader=PackageLoader("warmlens.report"),
         autoescape=True,

@@ -60,7 +60,7 @@ def read_smooth_fit(artifact: Artifact, simulated: Mapping[str, Any] | None) -> 
 
 
 def pull(value: float, error: float | None, truth: float | None) -> float | None:
-    """(fit - truth) / error; None without an error, or if the truth is not known."""
+    """Return (fit - truth) / error; None without an error, or if the truth is not known."""
     if error is None or truth is None or not error > 0.0:
         return None
     return (value - truth) / error
@@ -69,7 +69,7 @@ def pull(value: float, error: float | None, truth: float | None) -> float | None
 def true_parameters(
     lens_models: Sequence[str], light: Mapping[str, Any], simulated: Mapping[str, Any]
 ) -> dict[str, float]:
-    """Parameters that the observation was simulated with, where the fitted model has the same components.
+    """Return the true parameters of a simulated observation whose fitted model has the same components.
 
     The fit has `lens_models` and the settings `smooth_model.lens_light`, the observation `observation.simulated`.
     """
@@ -88,7 +88,7 @@ def true_parameters(
 
 
 def flat_parameters(kind: str, components: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Numbers of lenstronomy's kwargs under the names that the fit gives them, such as lens_0.theta_E."""
+    """Return the numbers of lenstronomy's kwargs under the fit's names for them, such as lens_0.theta_E."""
     flat: dict[str, float] = {}
     for i, kwargs in enumerate(components):
         for key, value in kwargs.items():

@@ -118,7 +118,7 @@ def noise_free_image(
     delta_alpha: FloatArray,
     quasars: FloatArray | None = None,
 ) -> FloatArray:
-    """Image [ny, nx] [e-/s per pixel] of a band with substructure, before noise.
+    """Return the image [ny, nx] [e-/s per pixel] of a band with substructure, before noise.
 
     Parameters
     ----------

@@ -85,7 +85,7 @@ def _simulated_band(name: str, block: SimulatedBlock, grid: PixelGrid, delta_alp
 def true_image(
     name: str, block: SimulatedBlock, grid: PixelGrid, delta_alpha: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Image [ny, nx] [e-/s per pixel] of a band before noise, and its PSF.
+    """Return the image [ny, nx] [e-/s per pixel] of a band before noise, and its PSF.
 
     Parameters
     ----------

@@ -165,7 +165,7 @@ class Scanner:
             )
 
     def raster_datasets(self, valid: BoolArray) -> dict[str, Dataset]:
-        """Where the maps' positions lie, and which of them a perturber can be seen at."""
+        """Return where the maps' positions lie, and which of them a perturber can be seen at."""
         x, y = self.raster.coordinates().T.reshape(2, *self.raster.shape)
         sky = ("y", "x")
         return {

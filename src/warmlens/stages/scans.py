@@ -122,7 +122,7 @@ def _scan_datasets(band: str, numbers: dict[str, FloatArray], lead: tuple[str, .
 
 
 def _noise_dataset(band: str, scan: BandScan) -> dict[str, Dataset]:
-    """What is the same for every image of the band."""
+    """Return what is the same for every image of the band."""
     if scan.response is None:
         return {}
     what = "part of fisher that noise in the fitted source makes on the mean; score / (fisher - it) is unbiased"
@@ -130,7 +130,7 @@ def _noise_dataset(band: str, scan: BandScan) -> dict[str, Dataset]:
 
 
 def _sensitivity_datasets(settings: ScanSettings, expected: FloatArray) -> dict[str, Dataset]:
-    """What the bands together would see of perturbers [theta_e, y, x], and the smallest mass that they would."""
+    """Return the expected Delta R of perturbers in all bands [theta_e, y, x], and the smallest mass that would be seen."""
     asked, cosmology, redshifts = settings.scan.sensitivity, settings.cosmology, settings.redshifts
     if asked is None or cosmology is None or redshifts is None:
         raise ValueError("scan.sensitivity needs the cosmology and the redshifts in the settings of the stage")

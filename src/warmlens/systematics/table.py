@@ -63,7 +63,7 @@ class Row:
 
 
 def read_numbers(config: Config, base: Config | None, *, bound: bool) -> dict[str, Any]:
-    """Fields of `Row` of a finished campaign, with or without its bound; `base` is None for the base itself."""
+    """Return the fields of `Row` of a finished campaign, with or without its bound; `base` is None for the base."""
     return {
         **_scan_numbers(config),
         **(_bound_numbers(config, base) if bound else {}),
@@ -72,13 +72,13 @@ def read_numbers(config: Config, base: Config | None, *, bound: bool) -> dict[st
 
 
 def read_numbers_of_failed(config: Config, base: Config) -> dict[str, Any]:
-    """Fields of `Row` of a campaign that failed: its cost, and the observation's scan if it got so far."""
+    """Return the fields of `Row` of a failed campaign: its cost, and the observation's scan if there is one."""
     scanned = all(_file(config, stage).exists() for stage in ("smooth_model", "observed_summary"))
     return {**_cost(config, base), **(_scan_numbers(config) if scanned else {})}
 
 
 def prior_rows(base: Config) -> list[Row]:
-    """Rows of the base campaign under other halo-mass priors: its own samples, weighted."""
+    """Return the rows of the base campaign under other halo-mass priors: its own samples, weighted."""
     meta, headline, _ = _read_abc(base)
     rows = []
     for name in HALO_MASS_PRIORS:
@@ -162,14 +162,14 @@ def _file(config: Config, stage: str) -> Path:
 
 
 def _read_abc(config: Config) -> tuple[dict[str, Any], dict[str, Any], set[int]]:
-    """Metadata of the ABC, its headline bound, and the numbers of the accepted samples."""
+    """Return the metadata of the ABC, its headline bound, and the numbers of the accepted samples."""
     with open_artifact(_file(config, "abc"), "abc") as artifact:
         meta, accepted = artifact.metadata, artifact.array("table/accepted").astype(bool)
         return meta, meta["bounds"][meta["headline"]], set(artifact.array("table/sample_id")[accepted].tolist())
 
 
 def _bound_fields(bound: Mapping[str, Any], of_base: Mapping[str, Any] | None) -> dict[str, Any]:
-    """Fields of a bound, and its shift from the bound of the base, if there is one."""
+    """Return the fields of a bound, and its shift from the bound of the base, if there is one."""
     shift = None if of_base is None else bound["value_kev"] - of_base["value_kev"]
     fields = {name: bound[name] for name in ("mc_error_kev", "prior_only_kev", "ess")}
     return {**fields, "bound_kev": bound["value_kev"], "shift_kev": shift}
@@ -202,13 +202,13 @@ def _scan_numbers(config: Config) -> dict[str, Any]:
 
 
 def _valid_delta_r(artifact: Artifact) -> FloatArray:
-    """Delta R of all bands together at the valid positions [..., n_valid]."""
+    """Return Delta R of all bands together at the valid positions [..., n_valid]."""
     delta_r = np.sum([artifact.array(f"{band}/delta_r") for band in artifact.metadata["bands"]], axis=0)
     return delta_r[..., artifact.array("raster/valid")]
 
 
 def _null_numbers(config: Config) -> dict[str, float]:
-    """Medians of the null test; none where the campaign has no null test, or did not get so far."""
+    """Return the medians of the null test; none where the campaign has no null test, or did not get so far."""
     if not _file(config, "null_summaries").exists():  # the last of its stages
         return {}
     with open_artifact(_file(config, "null_scans"), "null_scans") as artifact:
@@ -222,7 +222,7 @@ def _null_numbers(config: Config) -> dict[str, float]:
 
 
 def _cost(config: Config, base: Config) -> dict[str, Any]:
-    """Stages that are not the base's, and their core seconds; the observation is the base's in any case."""
+    """Return the stages that are not the base's, and their core seconds; the observation always is the base's."""
     root = Path(base.results)
     stages, seconds = [], 0.0
     for stage in campaign_stages(config)[1:]:

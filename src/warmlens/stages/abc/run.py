@@ -136,7 +136,7 @@ def _paper_distances(samples: Samples) -> FloatArray:
 
 
 def _rank_warnings(ranks: Mapping[str, Rank]) -> list[str]:
-    """Summaries in which hardly any sample is like the observation."""
+    """Return the summaries in which hardly any sample is like the observation."""
     return [
         f"the observation is at the edge of the samples in {name}: {rank.rank:.1%} of them lie below its "
         f"{rank.observed:.4g} (p = {rank.p_value:.2g}); mocks and observation may differ in more than substructure"
