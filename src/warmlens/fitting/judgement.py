@@ -123,7 +123,7 @@ def _unfinished(fitted: LensFit) -> list[str]:
 
 
 def unresolved_pixels(observed: Observation, model: SmoothModel, name: str) -> FloatArray:
-    """Return the changes [sigma] of pixels that 1 mas of deflection changes by more than 3 sigma and their arc's light.
+    """Return the changes [sigma] of pixels that 1 mas of deflection changes by over 3 sigma and their arc's light.
 
     Structure of the source that is far smaller than the distance of rays can fit single pixels with any amplitude.
     chi2 does not show it, but in a mock the slightest deflection moves the rays off it.

@@ -157,7 +157,7 @@ def finished_model(fitted: LensFit) -> SmoothModel:
 
 
 def _macro_columns(model: ImageModel, solution: Solution) -> tuple[list[FloatArray], FloatArray]:
-    """Return the change of each band's image along the axes of the fit's errors [npix, n], and their priors' widths [n].
+    """Return the change of each band's image along the axes of the fit's errors [npix, n], and their priors [n].
 
     With them as columns, a linear fit repeats the fit of all parameters to first order.
     """

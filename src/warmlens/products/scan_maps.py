@@ -30,7 +30,7 @@ def read_response(artifact: Artifact, row: int | None = None) -> LinearResponse 
 
 
 def read_sensitivity(artifact: Artifact, response: LinearResponse | None) -> tuple[FloatArray, str]:
-    """Read the smallest mass that would be seen, or else the error of the amplitude, and its label; NaN: not known."""
+    """Read the smallest mass that would be seen, or the error of the amplitude, and its label; NaN: not known."""
     if "sensitivity/min_mass" in artifact.file:
         delta_r = artifact.settings["scan"]["sensitivity"]["delta_r"]
         return artifact.array("sensitivity/min_mass"), rf"$M(\Delta R = {-delta_r:g})$ [M$_\odot$]"

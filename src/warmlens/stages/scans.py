@@ -130,7 +130,7 @@ def _noise_dataset(band: str, scan: BandScan) -> dict[str, Dataset]:
 
 
 def _sensitivity_datasets(settings: ScanSettings, expected: FloatArray) -> dict[str, Dataset]:
-    """Return the expected Delta R of perturbers in all bands [theta_e, y, x], and the smallest mass that would be seen."""
+    """Return the expected Delta R of perturbers [theta_e, y, x], and the smallest mass that would be seen."""
     asked, cosmology, redshifts = settings.scan.sensitivity, settings.cosmology, settings.redshifts
     if asked is None or cosmology is None or redshifts is None:
         raise ValueError("scan.sensitivity needs the cosmology and the redshifts in the settings of the stage")

@@ -63,7 +63,7 @@ class Row:
 
 
 def read_numbers(config: Config, base: Config | None, *, bound: bool) -> dict[str, Any]:
-    """Return the fields of `Row` of a finished campaign, with or without its bound; `base` is None for the base."""
+    """Return the fields of `Row` of a finished campaign, with or without its bound; no `base` for the base."""
     return {
         **_scan_numbers(config),
         **(_bound_numbers(config, base) if bound else {}),
