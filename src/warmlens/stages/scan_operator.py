@@ -51,7 +51,7 @@ def run_design(job: Job[ScanSettings]) -> None:
 
 
 def scan_linear_model(block: ScanBlock, observed: Observation, model: SmoothModel, name: str) -> LinearModel:
-    """Return the whitened design of a band: source, fixed columns, and derivatives by the lens fit if asked for."""
+    """Return the whitened design of a band: source, fixed columns, and derivatives by the lens if asked for."""
     band, convolution = scan_band(observed, model, name)
     columns, sigma = model.fixed[name], np.full(model.fixed[name].shape[1], np.inf)
     if block.marginalise_lens:
