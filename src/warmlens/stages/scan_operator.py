@@ -31,6 +31,7 @@ from warmlens.products.scan_operator import (
 from warmlens.products.smooth_model import SmoothModel, read_smooth_model, scan_band
 from warmlens.sampling import Span
 from warmlens.scan.operator import build_shard, project_band
+from warmlens.scan.shard import ScanBand
 from warmlens.stages.settings import ScanSettings
 
 log = logging.getLogger(__name__)
@@ -47,7 +48,7 @@ def run_design(settings: ScanSettings, observation: Path, smooth_model: Path, ou
     for name in model.fits:
         band, convolution = scan_band(observed, model, name)
         linear = scan_linear_model(settings.scan, observed, model, name)
-        projection = project_band(linear, convolution, band.weights, model.rays, perturber)
+        projection = project_band(ScanBand(linear, model.sets, model.rays, perturber, convolution, band.weights))
         datasets |= design_datasets(name, linear, projection)
         log.info("%s: %d columns", name, linear.design.shape[1])
     metadata = {
@@ -99,18 +100,10 @@ def run(
         check_origin(artifact, settings, {"observation": observation, "smooth_model": smooth_model})
         for name in artifact.metadata["bands"]:
             band, convolution = scan_band(observed, model, name)
-            shard = build_shard(
-                read_linear_model(artifact, name),
-                read_projection(artifact, name),
-                convolution,
-                band.weights,
-                model.sets,
-                model.rays,
-                scan_perturber(settings.scan),
-                positions,
-                nested,
-                response="amplitude" in settings.scan.statistics,
-            )
+            linear, perturber = read_linear_model(artifact, name), scan_perturber(settings.scan)
+            scanned = ScanBand(linear, model.sets, model.rays, perturber, convolution, band.weights)
+            response = "amplitude" in settings.scan.statistics
+            shard = build_shard(scanned, read_projection(artifact, name), positions, nested, response=response)
             datasets |= shard_datasets(name, shard)
             log.info("%s: positions %d to %d", name, *span)
         metadata = {"bands": artifact.metadata["bands"], "nested_n_max": -1 if nested is None else nested.n_max}

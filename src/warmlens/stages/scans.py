@@ -27,6 +27,7 @@ from warmlens.scan.response import (
     expected_delta_r,
     mass_within_truncation,
 )
+from warmlens.scan.shard import ScanBand
 from warmlens.stages.scan_operator import check_origin
 from warmlens.stages.settings import ScanSettings
 from warmlens.types import BoolArray, FloatArray, IntArray
@@ -126,8 +127,8 @@ class Scanner:
             fit.penalty[residual_rows],
         )
         coefficients = physical_coefficients(linear, fit.coefficients)[: linear.n_source]
-        tau = residual_images(fit, convolution, band.weights)
-        sets, rays = self.model.sets, self.model.rays
+        scanned = ScanBand(linear, self.model.sets, self.model.rays, self._perturber, convolution, band.weights)
+        back_projected = residual_images(fit, convolution, band.weights)
         maps, valid, residuals, responses, expected = [], [], [], [], []
         start = time.monotonic()
         for count, path in enumerate(self._shards, start=1):
@@ -135,18 +136,16 @@ class Scanner:
                 shard = read_shard(artifact, name, sensitivity=residual_rows.size > 0)
                 self._check_positions(artifact, shard.positions)
             if self._amplitude:
-                found, response = delta_r_and_response(shard, sets, rays, self._perturber, coefficients, tau)
+                found, response = delta_r_and_response(shard, scanned, coefficients, back_projected)
                 responses.append(response)
             else:
-                found = delta_r(shard, sets, rays, self._perturber, coefficients, tau)
+                found = delta_r(shard, scanned, coefficients, back_projected)
             maps.append(found)
             valid.append(np.diff(shard.pixel_offsets) > 0)
             if residual_rows.size:
-                residuals.append(
-                    residual_maps(shard, linear, chosen, sets, rays, self._perturber, convolution, band.weights)
-                )
+                residuals.append(residual_maps(shard, scanned, chosen))
             if theta_e:
-                expected.append(expected_delta_r(shard, sets, rays, self._perturber, theta_e, coefficients[:, 0]))
+                expected.append(expected_delta_r(shard, scanned, theta_e, coefficients[:, 0]))
             left = (time.monotonic() - start) / count * (len(self._shards) - count)
             log.info("%s: shard %d of %d, %.0f s left", name, count, len(self._shards), left)
         shape = self.raster.shape
