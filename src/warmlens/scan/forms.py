@@ -85,8 +85,7 @@ def fill_forms(
     with_response = shard.responses.size > 0
     base = shard.pixel_offsets[span[0]]
     brightest = weights.max()
-    positions = active_positions(shard.pixel_offsets, span, n_nested)
-    for active, (position, m, row) in enumerate(positions):
+    for active, (position, m, row) in enumerate(active_positions(shard.pixel_offsets, span, n_nested)):
         start, stop = shard.pixel_offsets[position], shard.pixel_offsets[position + 1]
         moved = shard.pixels[start:stop]
         size = 2 * m + n_nested

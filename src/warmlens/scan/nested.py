@@ -144,7 +144,7 @@ def at_point(nested: PerturbedBasis, point: FloatArray) -> PerturbedBasis:
 
 @njit(cache=True)
 def nested_columns(nested: PerturbedBasis, point: FloatArray) -> tuple[IntArray, FloatArray]:
-    """Return N_s^T of docs/scan.md where it is not negligible: ascending pixels [n_seen], functions [n_coef, n_seen]."""
+    """Return N_s^T of docs/scan.md where it matters: ascending pixels [n_seen], functions [n_coef, n_seen]."""
     basis = at_point(nested, point)
     pixels = _seen_from(basis, point)
     n_sub = basis.source_x.shape[1]
@@ -191,9 +191,9 @@ def _seen_from(nested: PerturbedBasis, point: FloatArray) -> IntArray:
 def nested_block(nested: PerturbedBasis, points: FloatArray) -> tuple[IntArray, FloatArray]:
     """Return N_s^T of several points one below the other, on all pixels that see one of them.
 
-    These are pixels [n_seen], ascending, and functions [n_points * n_coef, n_seen], 0 where `nested_columns` leaves
-    pixels out. Neighbouring positions see nearly the same pixels: one product with a dense matrix is faster than one
-    for each.
+    These are ascending pixels [n_seen] and functions [n_points * n_coef, n_seen], 0 where `nested_columns` leaves
+    pixels out. Neighbouring positions see nearly the same pixels: one product with a dense matrix is faster than
+    one for each.
     """
     if nested.n_coef == 0:
         return np.empty(0, dtype=np.int64), np.empty((0, 0))

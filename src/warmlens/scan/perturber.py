@@ -111,7 +111,7 @@ def basis_change(basis: PerturbedBasis, center_x: float, center_y: float, moved:
 
 @njit(cache=True)
 def basis_response(basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray) -> FloatArray:
-    """Return dB'^T of docs/scan.md [n_coef, m]: derivative of dB^T by the perturber's amplitude, 1 for theta_e, at 0.
+    """Return dB'^T of docs/scan.md [n_coef, m]: derivative of dB^T by the amplitude, 1 for theta_e, at 0.
 
     A central difference over a step so small against the functions that its error is some 1e-8 of their slopes.
     """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -128,16 +127,18 @@ def response_offsets(pixel_offsets: IntArray, n_nested: int) -> IntArray:
 
 
 @njit(cache=True)
-def active_positions(
-    pixel_offsets: IntArray, span: tuple[int, int], n_nested: int
-) -> Iterator[tuple[int, int, int]]:
-    """Yield each position of a span that moves m > 0 pixels, m, and the first of its 2m + n_nested rows."""
-    row = 0
+def active_positions(pixel_offsets: IntArray, span: tuple[int, int], n_nested: int) -> list[tuple[int, int, int]]:
+    """List each position of a span that moves m > 0 pixels, m, and the first of its 2m + n_nested rows.
+
+    No generator: numba cannot compile one that it has in its cache into another function.
+    """
+    row, active = 0, []
     for position in range(span[0], span[1]):
         m = pixel_offsets[position + 1] - pixel_offsets[position]
         if m > 0:
-            yield position, m, row
+            active.append((position, m, row))
             row += 2 * m + n_nested
+    return active
 
 
 @njit(cache=True)
