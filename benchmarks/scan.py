@@ -22,7 +22,7 @@ import numpy as np
 from lenstronomy.LensModel.lens_model import LensModel
 from scipy import linalg
 
-from warmlens.fitting.linear import LinearModel, build_linear_model, physical_coefficients, solve
+from warmlens.fitting.linear import build_linear_model, physical_coefficients, solve
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
@@ -30,10 +30,11 @@ from warmlens.lensing.rays import SmoothRays
 from warmlens.scan.apply import delta_r, delta_r_and_response
 from warmlens.scan.maps import residual_images, residual_maps
 from warmlens.scan.nested import NestedShapelets
-from warmlens.scan.operator import OperatorShard, build_shard, project_band
+from warmlens.scan.operator import build_shard, project_band
 from warmlens.scan.perturber import Perturber
 from warmlens.scan.raster import Raster
 from warmlens.scan.response import LinearResponse, expected_delta_r
+from warmlens.scan.shard import OperatorShard, ScanBand
 from warmlens.types import FloatArray
 
 QUASARS = ((-2.037, -0.520), (-2.076, 0.662), (-1.460, -1.632), (1.074, 0.356))
@@ -46,13 +47,9 @@ MOCKS, CORES = 2483, 2
 
 
 class Scene(NamedTuple):
-    """Problem of one band."""
+    """Problem of one band, and its whitened mocks [npix, k]."""
 
-    rays: SmoothRays
-    sets: tuple[ShapeletSet, ...]
-    convolution: Convolution
-    weights: FloatArray
-    model: LinearModel
+    band: ScanBand
     data: FloatArray
 
 
@@ -84,7 +81,7 @@ def smooth_rays(grid: PixelGrid, factor: int) -> SmoothRays:
     return SmoothRays(theta_x, theta_y, x.reshape(theta_x.shape), y.reshape(theta_x.shape))
 
 
-def scene(arguments: argparse.Namespace, wavelength: float) -> Scene:
+def make_scene(arguments: argparse.Namespace, wavelength: float) -> Scene:
     """Mocks of one band: a spiral's light that the basis cannot follow exactly, noise as in the paper's image."""
     rng = np.random.default_rng(int(wavelength))
     grid = PixelGrid.centred((arguments.pixels, arguments.pixels), 0.05)
@@ -105,31 +102,33 @@ def scene(arguments: argparse.Namespace, wavelength: float) -> Scene:
     columns = pixel_basis(sets, rays.source_x, rays.source_y)
     model = build_linear_model(columns, fixed, convolution, weights, 1e-8)
     data = (weights * image).reshape(-1, 1) + rng.normal(size=(weights.size, arguments.mocks))
-    return Scene(rays, sets, convolution, weights, model, data)
+    return Scene(ScanBand(model, sets, rays, PERTURBER, convolution, weights), data)
 
 
-def direct_minimum(item: Scene, columns: FloatArray, nested: FloatArray, prior: float) -> float:
+def direct_minimum(scene: Scene, columns: FloatArray, nested: FloatArray, prior: float) -> float:
     """J of the first mock with this source basis: convolve, normal equations, Cholesky, residual."""
-    images = np.ascontiguousarray(np.hstack([columns, nested]).T).reshape(-1, *item.convolution.shape)
-    moved = (item.weights * item.convolution.forward(images)).reshape(-1, item.weights.size).T
-    n_source, n_nested = item.model.n_source, nested.shape[1]
-    norms = np.append(item.model.column_norms, np.ones(n_nested))
-    design = np.hstack([moved[:, :n_source], item.model.design[:, n_source:], moved[:, n_source:]])
+    band = scene.band
+    images = np.ascontiguousarray(np.hstack([columns, nested]).T).reshape(-1, *band.convolution.shape)
+    moved = (band.weights * band.convolution.forward(images)).reshape(-1, band.weights.size).T
+    n_source, n_nested = band.model.n_source, nested.shape[1]
+    norms = np.append(band.model.column_norms, np.ones(n_nested))
+    design = np.hstack([moved[:, :n_source], band.model.design[:, n_source:], moved[:, n_source:]])
     design[:, :n_source] /= norms[:n_source]
-    weight = np.append(item.model.prior, np.full(n_nested, prior))
+    weight = np.append(band.model.prior, np.full(n_nested, prior))
     gram = design.T @ design
     gram[np.diag_indices_from(gram)] += weight
-    data = item.data[:, 0]
+    data = scene.data[:, 0]
     x = linalg.cho_solve(linalg.cho_factor(gram, lower=True), design.T @ data)
     residual = data - design @ x
     return float(residual @ residual + weight @ x**2)
 
 
-def direct_delta_r(item: Scene, shard: OperatorShard, position: int) -> tuple[float, float]:
+def direct_delta_r(scene: Scene, shard: OperatorShard, position: int) -> tuple[float, float]:
     """Delta R of the first mock by two direct solves, and the seconds of one of them."""
     x, y, beta = (float(value) for value in shard.points[position])
     nested = (ShapeletSet(NESTED.n_max, beta, x, y),)
-    rays, place = item.rays, shard.positions[position]
+    band = scene.band
+    rays, place = band.rays, shard.positions[position]
     alpha = PERTURBER.deflection(rays.theta_x - place[0], rays.theta_y - place[1])
     minima: list[float] = []
     prior = 0.0
@@ -138,25 +137,24 @@ def direct_delta_r(item: Scene, shard: OperatorShard, position: int) -> tuple[fl
         source = rays.source_x - bend[0], rays.source_y - bend[1]
         extra = pixel_basis(nested, *source)
         if not minima:
-            seen = item.convolution.forward(np.ascontiguousarray(extra.T).reshape(-1, *item.weights.shape))
-            prior = NESTED.ridge * float(np.sum((item.weights * seen) ** 2, axis=(1, 2)).max())
-        minima.append(direct_minimum(item, pixel_basis(item.sets, *source), extra, prior))
+            seen = band.convolution.forward(np.ascontiguousarray(extra.T).reshape(-1, *band.weights.shape))
+            prior = NESTED.ridge * float(np.sum((band.weights * seen) ** 2, axis=(1, 2)).max())
+        minima.append(direct_minimum(scene, pixel_basis(band.sets, *source), extra, prior))
         seconds = time.perf_counter() - start
     return minima[1] - minima[0], seconds
 
 
 def measure(arguments: argparse.Namespace, wavelength: float, positions: FloatArray) -> Measured:
     """Build and apply the operator of one band, and solve directly at some positions."""
-    item = scene(arguments, wavelength)
-    rays, sets, convolution, weights, model, data = item
+    scene = make_scene(arguments, wavelength)
+    band, data = scene
+    model, convolution, weights = band.model, band.convolution, band.weights
     start = time.perf_counter()
-    projection = project_band(model, convolution, weights, rays, PERTURBER)
+    projection = project_band(band)
     design = time.perf_counter() - start
 
     def build(where: FloatArray) -> OperatorShard:
-        return build_shard(
-            model, projection, convolution, weights, sets, rays, PERTURBER, where, NESTED, response=True
-        )
+        return build_shard(band, projection, where, NESTED, response=True)
 
     build(positions[:1])  # compile
     start = time.perf_counter()
@@ -164,20 +162,20 @@ def measure(arguments: argparse.Namespace, wavelength: float, positions: FloatAr
     build_seconds = (time.perf_counter() - start) / len(positions)
     start = time.perf_counter()
     fit = solve(model, data)
-    tau = residual_images(fit, convolution, weights)
+    back_projected = residual_images(fit, convolution, weights)
     fit_seconds = (time.perf_counter() - start) / arguments.mocks
     coefficients = physical_coefficients(model, fit.coefficients)[: model.n_source]
-    delta_r(shard, sets, rays, PERTURBER, coefficients[:, :1], tau[:, :1])  # compile
+    delta_r(shard, band, coefficients[:, :1], back_projected[:, :1])  # compile
     start = time.perf_counter()
-    maps = delta_r(shard, sets, rays, PERTURBER, coefficients, tau)
+    maps = delta_r(shard, band, coefficients, back_projected)
     apply_seconds = (time.perf_counter() - start) / maps.size
 
     def respond(x: FloatArray, residuals: FloatArray) -> LinearResponse:
-        return delta_r_and_response(shard, sets, rays, PERTURBER, x, residuals)[1]
+        return delta_r_and_response(shard, band, x, residuals)[1]
 
-    respond(coefficients[:, :1], tau[:, :1])  # compile
+    respond(coefficients[:, :1], back_projected[:, :1])  # compile
     start = time.perf_counter()
-    response = respond(coefficients, tau)
+    response = respond(coefficients, back_projected)
     amplitude_seconds = (time.perf_counter() - start) / maps.size - apply_seconds
     clean = solve(model, data.mean(axis=1, keepdims=True))  # nearly without noise
     source = physical_coefficients(model, clean.coefficients)[: model.n_source]
@@ -187,18 +185,18 @@ def measure(arguments: argparse.Namespace, wavelength: float, positions: FloatAr
     attenuation = float(np.median(quiet.fisher[seen, 0] / mean))
     predicted = np.median((mean - response.noise[seen, 0] * (1.0 - 1.0 / arguments.mocks)) / mean)
     print(f"Fisher information without over with noise: {attenuation:.3f}, predicted {predicted:.3f}")
-    expected_delta_r(shard, sets, rays, PERTURBER, [0.01], source[:, 0])  # compile
+    expected_delta_r(shard, band, [0.01], source[:, 0])  # compile
     start = time.perf_counter()
-    expected_delta_r(shard, sets, rays, PERTURBER, [0.01], source[:, 0])
+    expected_delta_r(shard, band, [0.01], source[:, 0])
     expected_seconds = (time.perf_counter() - start) / len(positions)
     alone = solve(model, data[:, :1])
-    residual_maps(shard, model, alone, sets, rays, PERTURBER, convolution, weights)  # compile
+    residual_maps(shard, band, alone)  # compile
     start = time.perf_counter()
-    residual_maps(shard, model, alone, sets, rays, PERTURBER, convolution, weights)
+    residual_maps(shard, band, alone)
     residual_seconds = (time.perf_counter() - start) / len(positions)
     errors, times = [], []
     for position in np.linspace(0, len(positions) - 1, arguments.direct).astype(int):
-        expected, seconds = direct_delta_r(item, shard, int(position))
+        expected, seconds = direct_delta_r(scene, shard, int(position))
         errors.append(abs(float(maps[position, 0]) - expected))
         times.append(seconds)
     n_bytes = sum(getattr(shard, name).nbytes for name in ARRAYS)

@@ -1,11 +1,12 @@
 """A small band to scan: 32 x 30 pixels, an arc, a mask, a PSF larger than half the image."""
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import pytest
 
-from warmlens.fitting.linear import LinearModel, build_linear_model, physical_coefficients, solve
+from warmlens.fitting.linear import build_linear_model, physical_coefficients, solve
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.psf import Convolution, hst_like_psf, point_source
 from warmlens.imaging.shapelets import ShapeletSet, pixel_basis
@@ -13,50 +14,39 @@ from warmlens.lensing.rays import SmoothRays
 from warmlens.scan.apply import delta_r
 from warmlens.scan.maps import residual_images, residual_maps
 from warmlens.scan.nested import NestedShapelets
-from warmlens.scan.operator import BandProjection, build_shard, project_band
+from warmlens.scan.operator import build_shard, project_band
 from warmlens.scan.perturber import Perturber
 from warmlens.scan.raster import Raster
+from warmlens.scan.shard import ScanBand
 
 
-class Band(NamedTuple):
-    """What a scan of one band is made of."""
+@dataclass(frozen=True)
+class Band(ScanBand):
+    """A band to scan, with its pixel grid."""
 
     grid: PixelGrid
-    rays: SmoothRays
-    sets: tuple[ShapeletSet, ...]
-    convolution: Convolution
-    weights: np.ndarray
-    model: LinearModel
-    projection: BandProjection
-    perturber: Perturber
 
-    def shard(self, positions, nested=None):
-        return build_shard(
-            self.model,
-            self.projection,
-            self.convolution,
-            self.weights,
-            self.sets,
-            self.rays,
-            self.perturber,
-            positions,
-            nested,
-        )
+    @cached_property
+    def projection(self):
+        return project_band(self)
 
-    def residual_maps(self, shard, images):
-        fit = solve(self.model, self.whiten(images))
-        return residual_maps(
-            shard, self.model, fit, self.sets, self.rays, self.perturber, self.convolution, self.weights
-        )
+    def shard(self, positions, nested=None, **options):
+        return build_shard(self, self.projection, positions, nested, **options)
 
     def whiten(self, images):
         return (self.weights * images).reshape(-1, self.weights.size).T
 
-    def scan(self, shard, images):
+    def fit(self, images):
+        """Source coefficients and back-projected residuals of the smooth fits."""
         fit = solve(self.model, self.whiten(images))
         coefficients = physical_coefficients(self.model, fit.coefficients)[: self.model.n_source]
-        tau = residual_images(fit, self.convolution, self.weights)
-        return delta_r(shard, self.sets, self.rays, self.perturber, coefficients, tau)
+        return coefficients, residual_images(fit, self.convolution, self.weights)
+
+    def scan(self, shard, images):
+        return delta_r(shard, self, *self.fit(images))
+
+    def residual_maps(self, shard, images):
+        return residual_maps(shard, self, solve(self.model, self.whiten(images)))
 
 
 @pytest.fixture(scope="session")
@@ -72,9 +62,7 @@ def band():
     weights[20:32, 0:14] = 0.0
     fixed = np.stack([point_source(psf, grid, 0.5, 0.1).ravel(), np.ones(grid.ny * grid.nx)], axis=1)
     model = build_linear_model(pixel_basis(sets, rays.source_x, rays.source_y), fixed, convolution, weights, 1e-8)
-    perturber = Perturber(0.01, 0.1)
-    projection = project_band(model, convolution, weights, rays, perturber)
-    return Band(grid, rays, sets, convolution, weights, model, projection, perturber)
+    return Band(model, sets, rays, Perturber(0.01, 0.1), convolution, weights, grid)
 
 
 @pytest.fixture(scope="session")

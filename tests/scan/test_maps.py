@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from warmlens.fitting.linear import physical_coefficients, solve
+from warmlens.fitting.linear import solve
 from warmlens.imaging.shapelets import pixel_basis
 from warmlens.scan.apply import delta_r
 from warmlens.scan.maps import residual_images
@@ -14,12 +14,13 @@ from warmlens.scan.nested import NestedShapelets
 
 def test_residual_images_are_the_adjoint_of_the_whitened_psf(band, mocks):
     fit = solve(band.model, band.whiten(mocks[:3]))
-    tau = residual_images(fit, band.convolution, band.weights)
-    assert tau.shape == (band.weights.size, 3)
+    back_projected = residual_images(fit, band.convolution, band.weights)
+    assert back_projected.shape == (band.weights.size, 3)
     image = np.random.default_rng(9).normal(size=band.grid.shape)
     for i in range(3):
         forward = band.weights * band.convolution.forward(image)
-        assert tau[:, i] @ image.ravel() == pytest.approx(fit.residual[:, i] @ forward.ravel(), rel=1e-10)
+        expected = fit.residual[:, i] @ forward.ravel()
+        assert back_projected[:, i] @ image.ravel() == pytest.approx(expected, rel=1e-10)
 
 
 @pytest.mark.parametrize("batch", [1, 3, 7, 16])
@@ -141,16 +142,17 @@ def test_residual_maps_and_delta_r_differ_by_the_penalty(band, nested_shard, moc
 
 def test_sensitivity_must_have_been_read(band, shard, mocks):
     with pytest.raises(ValueError, match="sensitivity"):
-        band.residual_maps(dataclasses.replace(shard, sensitivity=np.empty(0)), mocks[:1])
+        band.residual_maps(shard._replace(sensitivity=np.empty(0)), mocks[:1])
 
 
 def test_shapes_are_checked(band, shard, mocks):
     fit = solve(band.model, band.whiten(mocks[:2]))
-    tau = residual_images(fit, band.convolution, band.weights)
-    coefficients = physical_coefficients(band.model, fit.coefficients)
+    coefficients, back_projected = band.fit(mocks[:2])
     with pytest.raises(ValueError, match="n_source = 24"):
-        delta_r(shard, band.sets, band.rays, band.perturber, coefficients, tau)
-    with pytest.raises(ValueError, match="tau"):
-        delta_r(shard, band.sets, band.rays, band.perturber, coefficients[:24], tau[:, :1])
+        delta_r(shard, band, fit.coefficients, back_projected)
+    with pytest.raises(ValueError, match=r"back_projected must be \[npix, k\]"):
+        delta_r(shard, band, coefficients, back_projected[:, :1])
     with pytest.raises(ValueError, match="one image"):
         residual_images(fit, band.convolution, band.weights[:-1])
+    with pytest.raises(ValueError, match="image is 32 x 30, but weights are"):
+        dataclasses.replace(band, weights=band.weights[:-1])

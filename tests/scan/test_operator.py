@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from warmlens.imaging.shapelets import ShapeletSet, basis
-from warmlens.scan.operator import build_shard
 
 
 @pytest.fixture(scope="module")
@@ -113,16 +112,7 @@ def test_shards_put_together_are_the_whole(band, shard, raster):
 
 def test_other_basis_than_the_model_is_refused(band):
     with pytest.raises(ValueError, match=r"10 functions.*24 source columns.*source\.n_max"):
-        build_shard(
-            band.model,
-            band.projection,
-            band.convolution,
-            band.weights,
-            (ShapeletSet(3, 0.1, 0.0, 0.0),),
-            band.rays,
-            band.perturber,
-            np.zeros((1, 2)),
-        )
+        dataclasses.replace(band, sets=(ShapeletSet(3, 0.1, 0.0, 0.0),))
 
 
 def test_bad_positions_are_refused(band):
@@ -133,5 +123,5 @@ def test_bad_positions_are_refused(band):
 
 
 def test_operator_is_frozen(shard):
-    with pytest.raises(dataclasses.FrozenInstanceError):
+    with pytest.raises(AttributeError):
         shard.pixels = shard.pixels

@@ -5,11 +5,8 @@ import dataclasses
 import numpy as np
 import pytest
 
-from warmlens.fitting.linear import physical_coefficients, solve
 from warmlens.imaging.shapelets import pixel_basis
-from warmlens.scan.apply import delta_r, delta_r_and_response
-from warmlens.scan.maps import residual_images
-from warmlens.scan.operator import build_shard
+from warmlens.scan.apply import delta_r_and_response
 from warmlens.scan.perturber import Perturber, basis_change, basis_response, perturbed_basis
 from warmlens.scan.response import (
     LinearResponse,
@@ -21,28 +18,15 @@ from warmlens.scan.response import (
 
 @pytest.fixture(scope="module")
 def response_shard(band, raster, nested):
-    return build(band, raster.coordinates(), nested)
-
-
-def build(band, positions, nested, perturber=None):
-    return build_shard(
-        band.model, band.projection, band.convolution, band.weights, band.sets, band.rays,
-        perturber or band.perturber, positions, nested, response=True,
-    )  # fmt: skip
-
-
-def pieces(band, images):
-    fit = solve(band.model, band.whiten(images))
-    coefficients = physical_coefficients(band.model, fit.coefficients)[: band.model.n_source]
-    return coefficients, residual_images(fit, band.convolution, band.weights)
+    return band.shard(raster.coordinates(), nested, response=True)
 
 
 def linear_response(*arguments):
     return delta_r_and_response(*arguments)[1]
 
 
-def respond(band, shard, images, perturber=None):
-    return linear_response(shard, band.sets, band.rays, perturber or band.perturber, *pieces(band, images))
+def respond(band, shard, images):
+    return linear_response(shard, band, *band.fit(images))
 
 
 def test_derivative_of_the_basis_is_that_of_small_perturbers(band, response_shard):
@@ -56,7 +40,7 @@ def test_derivative_of_the_basis_is_that_of_small_perturbers(band, response_shar
         return basis_change(perturbed_basis(band.sets, band.rays, small), x, y, moved) / scale
 
     expected = 2.0 * change(0.005) - change(0.01)  # one-sided: the error of order scale cancels
-    found = basis_response(perturbed_basis(band.sets, band.rays, band.perturber), x, y, moved)
+    found = basis_response(band.basis(), x, y, moved)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-4 * np.abs(expected).max())
     assert np.abs(found - change(0.01)).max() > 1e-4 * np.abs(expected).max()
 
@@ -84,8 +68,9 @@ def test_score_and_fisher_scale_with_image_and_perturber(band, raster, nested, r
     once, thrice = respond(band, response_shard, mocks[:2]), respond(band, response_shard, 3.0 * mocks[:2])
     np.testing.assert_allclose(thrice.score, 9.0 * once.score, rtol=0, atol=1e-8 * np.abs(once.score).max())
     np.testing.assert_allclose(thrice.fisher, 9.0 * once.fisher, rtol=1e-6)
-    double = Perturber(2.0 * band.perturber.theta_e, band.perturber.r_trunc)
-    other = respond(band, build(band, raster.coordinates(), nested, double), mocks[:2], double)
+    perturber = Perturber(2.0 * band.perturber.theta_e, band.perturber.r_trunc)
+    double = dataclasses.replace(band, perturber=perturber)
+    other = respond(double, double.shard(raster.coordinates(), nested, response=True), mocks[:2])
     np.testing.assert_allclose(other.fisher, 4.0 * once.fisher, rtol=1e-6)
     np.testing.assert_allclose(other.noise, 4.0 * once.noise, rtol=1e-6, atol=1e-9 * once.noise.max())
     np.testing.assert_allclose(other.significance, once.significance, rtol=1e-6)
@@ -120,9 +105,8 @@ def test_fisher_is_what_the_linear_columns_leave(band, raster):
     """Without nested shapelets: F = |(1 - P) g|^2 of the image's derivative g, P by a QR of the design."""
     positions = raster.coordinates()[np.argmin(np.abs(raster.coordinates() - (0.525, 0.075)).sum(axis=1))][None]
     x = np.random.default_rng(4).normal(size=(band.model.n_source, 1))
-    found = linear_response(
-        build(band, positions, None), band.sets, band.rays, band.perturber, x, np.zeros((band.weights.size, 1))
-    )
+    shard = band.shard(positions, response=True)
+    found = linear_response(shard, band, x, np.zeros((band.weights.size, 1)))
     alpha = band.perturber.deflection(band.rays.theta_x - positions[0, 0], band.rays.theta_y - positions[0, 1])
     step = 1e-3
     plus, minus = (
@@ -140,35 +124,36 @@ def test_fisher_is_what_the_linear_columns_leave(band, raster):
 def test_response_must_have_been_built(band, nested_shard, mocks):
     with pytest.raises(ValueError, match="no linear response"):
         respond(band, nested_shard, mocks[:1])
-    coefficients, _ = pieces(band, mocks[:1])
+    coefficients, _ = band.fit(mocks[:1])
     with pytest.raises(ValueError, match="no linear response"):
-        expected_delta_r(nested_shard, band.sets, band.rays, band.perturber, [0.01], coefficients[:, 0])
+        expected_delta_r(nested_shard, band, [0.01], coefficients[:, 0])
 
 
 def test_shapes_are_checked(band, response_shard, mocks):
-    coefficients, tau = pieces(band, mocks[:2])
+    coefficients, back_projected = band.fit(mocks[:2])
     with pytest.raises(ValueError, match="n_source = 24"):
-        linear_response(response_shard, band.sets, band.rays, band.perturber, coefficients[:5], tau)
-    with pytest.raises(ValueError, match="tau"):
-        linear_response(response_shard, band.sets, band.rays, band.perturber, coefficients, tau[:, :1])
+        linear_response(response_shard, band, coefficients[:5], back_projected)
+    with pytest.raises(ValueError, match="back_projected"):
+        linear_response(response_shard, band, coefficients, back_projected[:, :1])
 
 
 def test_delta_r_is_the_same_with_the_response(band, response_shard, mocks):
-    pieces_of = response_shard, band.sets, band.rays, band.perturber, *pieces(band, mocks)
-    np.testing.assert_array_equal(delta_r_and_response(*pieces_of)[0], delta_r(*pieces_of))
+    both, _ = delta_r_and_response(response_shard, band, *band.fit(mocks))
+    np.testing.assert_array_equal(both, band.scan(response_shard, mocks))
 
 
 def test_slope_is_that_of_the_basis(band, response_shard, mocks):
     """Without nested shapelets in K and R: F = delta'.K delta' with dB' of the operator's central difference."""
-    coefficients, tau = pieces(band, mocks[:2])
-    shard = build(band, response_shard.positions, None)
-    found = linear_response(shard, band.sets, band.rays, band.perturber, coefficients, tau)
-    basis = perturbed_basis(band.sets, band.rays, band.perturber)
+    coefficients, back_projected = band.fit(mocks[:2])
+    shard = band.shard(response_shard.positions, response=True)
+    found = linear_response(shard, band, coefficients, back_projected)
+    basis = band.basis()
     for position in np.flatnonzero(np.diff(shard.pixel_offsets))[::7]:
         moved = shard.pixels[slice(*shard.pixel_offsets[position : position + 2])]
         slope = basis_response(basis, *shard.positions[position], moved).T @ coefficients
-        scale = np.abs(slope).max() * np.abs(tau[moved]).max() * moved.size
-        np.testing.assert_allclose(found.score[position], np.sum(slope * tau[moved], axis=0), atol=1e-7 * scale)
+        scale = np.abs(slope).max() * np.abs(back_projected[moved]).max() * moved.size
+        expected = np.sum(slope * back_projected[moved], axis=0)
+        np.testing.assert_allclose(found.score[position], expected, atol=1e-7 * scale)
 
 
 def test_response_changes_nothing_else(nested_shard, response_shard):
@@ -181,15 +166,13 @@ def test_response_changes_nothing_else(nested_shard, response_shard):
 
 def test_expected_delta_r_is_quadratic_for_small_deflections_only(band, response_shard, mocks):
     """eps^2 F to linear order; at 50 mas the source's structure does not let it go on so."""
-    coefficients, _ = pieces(band, mocks[:1])
-    expected = expected_delta_r(
-        response_shard, band.sets, band.rays, band.perturber, [1e-4, 0.05], coefficients[:, 0]
-    )
+    coefficients, _ = band.fit(mocks[:1])
+    expected = expected_delta_r(response_shard, band, [1e-4, 0.05], coefficients[:, 0])
     zero = np.zeros((band.weights.size, 1))
-    linear = linear_response(response_shard, band.sets, band.rays, band.perturber, coefficients, zero)
+    linear = linear_response(response_shard, band, coefficients, zero)
     bright = linear.fisher[:, 0] > 0.01 * linear.fisher.max()
     fisher = linear.fisher[bright, 0]
-    # tau = 0 leaves no nested shapelet in the fit: delta' is that of the source alone, as in the expectation
+    # no residual leaves no nested shapelet in the fit: delta' is that of the source alone, as in the expectation
     np.testing.assert_allclose(-expected[0, bright], (1e-4 / 0.01) ** 2 * fisher, rtol=0.02)
     assert np.median(np.abs(-expected[1, bright] / (25.0 * fisher) - 1.0)) > 0.1
     assert np.all(expected <= 0.0)

@@ -24,8 +24,9 @@ from warmlens.lensing.rays import SmoothRays
 from warmlens.scan.apply import delta_r
 from warmlens.scan.maps import ResidualMaps, residual_images, residual_maps
 from warmlens.scan.nested import NestedShapelets
-from warmlens.scan.operator import OperatorShard, build_shard, project_band
+from warmlens.scan.operator import build_shard, project_band
 from warmlens.scan.perturber import Perturber
+from warmlens.scan.shard import OperatorShard, ScanBand
 
 THETA_E, R_TRUNC = 0.01, 0.1
 TOLERANCE = 1e-4  # in units of chi2, docs/scan.md, "What is checked"
@@ -103,16 +104,13 @@ def low_rank(rays, item, fixed, psf, weights, ridge, positions, images, perturbe
         fixed, sigma = np.hstack([fixed, macro]), np.append(sigma, np.ones(macro.shape[1]))
     columns = pixel_basis((item,), rays.source_x, rays.source_y)
     model = build_linear_model(columns, fixed, convolution, weights, ridge, sigma)
-    projection = project_band(model, convolution, weights, rays, perturber)
-    shard = build_shard(
-        model, projection, convolution, weights, (item,), rays, perturber, positions, nested
-    )  # fmt: skip
+    band = ScanBand(model, (item,), rays, perturber, convolution, weights)
+    shard = build_shard(band, project_band(band), positions, nested)
     fit = solve(model, weights.reshape(-1, 1) * images)
     coefficients = physical_coefficients(model, fit.coefficients)[: model.n_source]
-    tau = residual_images(fit, convolution, weights)
     return LowRank(
-        delta_r(shard, (item,), rays, perturber, coefficients, tau),
-        residual_maps(shard, model, fit, (item,), rays, perturber, convolution, weights),
+        delta_r(shard, band, coefficients, residual_images(fit, convolution, weights)),
+        residual_maps(shard, band, fit),
         shard,
         model.prior * model.column_norms**2,
     )

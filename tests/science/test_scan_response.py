@@ -22,6 +22,7 @@ from warmlens.scan.nested import NestedShapelets
 from warmlens.scan.operator import build_shard, project_band
 from warmlens.scan.perturber import Perturber
 from warmlens.scan.response import LinearResponse, expected_delta_r
+from warmlens.scan.shard import ScanBand
 
 PERTURBER = Perturber(0.01, 0.1)
 NESTED = NestedShapelets(5, 1e-5, (0.02, 0.1))
@@ -71,11 +72,14 @@ class Scene:
         self.model = build_linear_model(
             self.smooth, self.fixed, self.convolution, self.weights, 1e-9, self.sigma
         )  # fmt: skip
-        projection = project_band(self.model, self.convolution, self.weights, self.rays, PERTURBER)
-        self.build = lambda positions, nested, perturber=PERTURBER: build_shard(
-            self.model, projection, self.convolution, self.weights, self.sets, self.rays, perturber, positions,
-            nested, response=True,
-        )  # fmt: skip
+        self.band = ScanBand(self.model, self.sets, self.rays, PERTURBER, self.convolution, self.weights)
+        self.projection = project_band(self.band)
+
+    def with_theta_e(self, theta_e):
+        return dataclasses.replace(self.band, perturber=dataclasses.replace(PERTURBER, theta_e=theta_e))
+
+    def build(self, positions, nested, theta_e=PERTURBER.theta_e):
+        return build_shard(self.with_theta_e(theta_e), self.projection, positions, nested, response=True)
 
     def light(self, shift):
         """A source that the basis cannot follow."""
@@ -101,7 +105,7 @@ class Scene:
         return coefficients, residual_images(fit, self.convolution, self.weights)
 
     def response(self, shard, images):
-        return delta_r_and_response(shard, self.sets, self.rays, PERTURBER, *self.fit(images))[1]
+        return delta_r_and_response(shard, self.band, *self.fit(images))[1]
 
     def columns(self, center, theta_e, point):
         """Whitened columns and square roots of their priors; None leaves the nested shapelets out."""
@@ -217,14 +221,13 @@ def test_expected_delta_r_is_that_of_images_with_the_perturber(scene, source, ne
     """Against the scan with an operator of each theta_E, direct solves, and the mean over noise draws."""
     theta_e = [0.002, 0.01, 0.03]
     shard = scene.build(POSITIONS, nested)
-    expected = expected_delta_r(shard, scene.sets, scene.rays, PERTURBER, theta_e, source)
+    expected = expected_delta_r(shard, scene.band, theta_e, source)
     assert expected.shape == (3, len(POSITIONS))
     assert np.all(expected[:, MASKED] == 0.0)
     for row, value in enumerate(theta_e):
-        perturber = dataclasses.replace(PERTURBER, theta_e=value)
-        own = scene.build(POSITIONS, nested, perturber)
+        own = scene.build(POSITIONS, nested, value)
         images = np.stack([truth(scene, center, value, source) for center in POSITIONS], axis=1)
-        scan = delta_r(own, scene.sets, scene.rays, perturber, *scene.fit(images))
+        scan = delta_r(own, scene.with_theta_e(value), *scene.fit(images))
         np.testing.assert_allclose(np.diag(scan), expected[row], rtol=1e-3, atol=1e-3)
         for i, center in enumerate(POSITIONS[:3]):
             point = None if nested is None else shard.points[i]
@@ -233,5 +236,5 @@ def test_expected_delta_r_is_that_of_images_with_the_perturber(scene, source, ne
             assert minima[1] - minima[0] == pytest.approx(expected[row, i], rel=1e-3, abs=1e-3)
     assert expected[1].min() < -50.0
     noisy = truth(scene, POSITIONS[0], 0.01, source)[:, None] + scene.noise(1000)
-    scan = delta_r(shard, scene.sets, scene.rays, PERTURBER, *scene.fit(noisy))[0]
+    scan = delta_r(shard, scene.band, *scene.fit(noisy))[0]
     assert scan.mean() == pytest.approx(expected[1, 0], abs=4.0 * scan.std() / np.sqrt(1000))

@@ -6,7 +6,8 @@ import numpy as np
 
 from warmlens.artifacts.file import Artifact, Dataset
 from warmlens.fitting.linear import LinearModel
-from warmlens.scan.operator import BandProjection, OperatorShard
+from warmlens.scan.operator import BandProjection
+from warmlens.scan.shard import OperatorShard
 
 
 def design_datasets(band: str, model: LinearModel, projection: BandProjection) -> dict[str, Dataset]:

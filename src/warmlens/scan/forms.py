@@ -2,121 +2,99 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 from warmlens.scan.nested import at_point
 from warmlens.scan.perturber import PerturbedBasis, basis_change, basis_response
+from warmlens.scan.shard import OperatorShard, active_positions
 from warmlens.types import FloatArray, IntArray
+
+
+class Optics(NamedTuple):
+    """What the band gives to every position.
+
+    Attributes
+    ----------
+    psf, weights
+        PSF, and 1/sigma [ny, nx].
+    overlap
+        Table of `BandProjection.overlap`.
+    ridge
+        Of the nested shapelets; 0 without them.
+    """
+
+    psf: FloatArray
+    weights: FloatArray
+    overlap: FloatArray
+    ridge: float
+
+
+class Pieces(NamedTuple):
+    """Columns of the positions of a span, one below the other.
+
+    Attributes
+    ----------
+    rows, prior_rows
+        Z^T = [Y, -G_E, -G N_s]^T and (Lambda^1/2 L^-T Z)^T [sum of 2m + n_nested, n].
+    slopes, prior_slopes
+        Y'^T and (Lambda^1/2 L^-T Y')^T [moved pixels, n] for the linear response; no row without it.
+    images, convolved
+        N_s^T and V_s^T = (W P N_s)^T of the positions that move something [n_active, n_nested, npix].
+    """
+
+    rows: FloatArray
+    prior_rows: FloatArray
+    slopes: FloatArray
+    prior_slopes: FloatArray
+    images: FloatArray
+    convolved: FloatArray
 
 
 @njit(cache=True)
 def fill_change(
-    basis: PerturbedBasis,
-    positions: FloatArray,
-    pixel_offsets: IntArray,
-    pixels: IntArray,
-    first: int,
-    last: int,
-    slope: bool,
-    out: FloatArray,
+    basis: PerturbedBasis, shard: OperatorShard, span: tuple[int, int], slope: bool, out: FloatArray
 ) -> None:
-    """dB, or its slope dB', of the positions first..last-1, one below the other, into the leading columns."""
-    base = pixel_offsets[first]
-    for position in range(first, last):
-        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
+    """Write dB, or its slope dB', of the positions of a span, one below the other, into the leading columns."""
+    base = shard.pixel_offsets[span[0]]
+    for position in range(span[0], span[1]):
+        start, stop = shard.pixel_offsets[position], shard.pixel_offsets[position + 1]
         if stop > start:
-            x, y = positions[position]
-            moved = pixels[start:stop]
+            x, y = shard.positions[position]
+            moved = shard.pixels[start:stop]
             change = basis_response(basis, x, y, moved) if slope else basis_change(basis, x, y, moved)
             out[start - base : stop - base, : basis.n_coef] = change.T
 
 
 @njit(cache=True)
-def stack_rows(
-    pixel_offsets: IntArray,
-    first: int,
-    last: int,
-    n_nested: int,
-    solved: FloatArray,
-    pixel_rows: FloatArray,
-    nested_rows: FloatArray,
-    place: IntArray,
-) -> FloatArray:
-    """Rows Z^T = [Y, -G_E, -G N_s]^T of the positions first..last-1 [sum of 2m + n_nested, n].
-
-    `solved` holds Y^T [moved pixels, n], `pixel_rows` G^T of the pixels among them, those of each at `place`, and
-    `nested_rows` (G N_s)^T of the positions that move something; or the same of any matrix times these.
-    """
-    base = pixel_offsets[first]
-    out = np.empty((2 * solved.shape[0] + nested_rows.shape[0], solved.shape[1]))
-    row, done = 0, 0
-    for position in range(first, last):
-        start, m = pixel_offsets[position] - base, pixel_offsets[position + 1] - pixel_offsets[position]
-        if m == 0:
-            continue
-        for i in range(m):
-            for k in range(out.shape[1]):
-                out[row + i, k] = solved[start + i, k]
-                out[row + m + i, k] = -pixel_rows[place[start + i], k]
-        for i in range(n_nested):
-            for k in range(out.shape[1]):
-                out[row + 2 * m + i, k] = -nested_rows[done + i, k]
-        row += 2 * m + n_nested
-        done += n_nested
-    return out
-
-
-@njit(cache=True)
 def fill_forms(
-    nested: PerturbedBasis,
-    points: FloatArray,
-    positions: FloatArray,
-    ridge: float,
-    psf: FloatArray,
-    weights: FloatArray,
-    overlap: FloatArray,
-    rows: FloatArray,
-    prior_rows: FloatArray,
-    slopes: FloatArray,
-    prior_slopes: FloatArray,
-    images: FloatArray,
-    convolved: FloatArray,
-    pixel_offsets: IntArray,
-    pixels: IntArray,
-    first: int,
-    last: int,
-    matrix_offsets: IntArray,
-    matrices: FloatArray,
-    sensitivity: FloatArray,
-    nested_inverse: FloatArray,
+    shard: OperatorShard,
     response_offsets: IntArray,
-    responses: FloatArray,
-    response_noise: FloatArray,
+    span: tuple[int, int],
+    nested: PerturbedBasis,
+    optics: Optics,
+    pieces: Pieces,
 ) -> int:
-    """Q, Gamma, C_s^-1 and, unless `responses` is empty, K, R and f of the positions first..last-1.
+    """Write Q, Gamma, C_s^-1 and, unless `responses` is empty, K, R and f of the positions of a span.
 
-    They are made from the rows Z^T, `prior_rows` (Lambda^1/2 L^-T Z)^T and V_s (`convolved`), and for the response
-    from `slopes` Y'^T and `prior_slopes` (Lambda^1/2 L^-T Y')^T [moved pixels, n]. Returns the first
-    position whose nested columns are degenerate, -1 if there is none.
+    Returns the first position whose nested columns are degenerate, -1 if there is none.
     """
-    n_nested = nested.n_coef
-    base = pixel_offsets[first]
-    row, active = 0, 0
+    weights, ridge, n_nested = optics.weights, optics.ridge, nested.n_coef
+    with_response = shard.responses.size > 0
+    base = shard.pixel_offsets[span[0]]
     brightest = weights.max()
-    for position in range(first, last):
-        start, stop = pixel_offsets[position], pixel_offsets[position + 1]
-        m = stop - start
-        if m == 0:
-            continue
-        moved = pixels[start:stop]
+    for active, (position, m, row) in enumerate(active_positions(shard.pixel_offsets, span, n_nested)):
+        start, stop = shard.pixel_offsets[position], shard.pixel_offsets[position + 1]
+        moved = shard.pixels[start:stop]
         size = 2 * m + n_nested
-        Z = rows[row : row + size]
-        R = prior_rows[row : row + size]
+        Z = pieces.rows[row : row + size]
+        R = pieces.prior_rows[row : row + size]
         system = np.dot(Z, Z.T)
         form = -np.dot(R, R.T)  # Gamma of docs/scan.md, without the part that the system holds too
         form[:m, :m] += system[:m, :m]
-        _subtract_overlap(system[m : 2 * m, m : 2 * m], overlap, weights.shape[1], moved)
+        _subtract_overlap(system[m : 2 * m, m : 2 * m], optics.overlap, weights.shape[1], moved)
         for i in range(m):
             system[m + i, i] -= 1.0
             system[i, m + i] -= 1.0
@@ -128,22 +106,23 @@ def fill_forms(
         K = -system[m : 2 * m, m : 2 * m]  # S - G_E^T G_E
         shift = np.zeros((n_nested, 2 * m))  # R^T
         scatter, prior_slope = np.zeros((m, m)), np.zeros((0, 0))
-        if responses.size > 0:
-            slope = slopes[start - base : stop - base]
-            prior_slope = prior_slopes[start - base : stop - base].copy()
+        if with_response:
+            slope = pieces.slopes[start - base : stop - base]
+            prior_slope = pieces.prior_slopes[start - base : stop - base].copy()
             scatter = np.dot(slope, slope.T)
         if n_nested > 0:
-            V = convolved[active]  # [n_nested, npix]
+            V = pieces.convolved[active]  # [n_nested, npix]
             gram = np.dot(V, V.T)
             light = 0.0
             for i in range(n_nested):
-                light = max(light, np.dot(images[active, i], images[active, i]))
+                light = max(light, np.dot(pieces.images[active, i], pieces.images[active, i]))
             lam = ridge * np.diag(gram).max()
             # Only on masked pixels: V is all rounding of the FFT, and the columns are left out of both fits.
             if lam > ridge * 1e-24 * brightest**2 * light:
-                UV = _seen_through(psf, weights, V, moved)
-                spot = positions[position]
-                change = basis_change(at_point(nested, points[position]), spot[0], spot[1], moved)  # dN^T
+                UV = _convolved_products(optics.psf, weights, V, moved)
+                here = at_point(nested, shard.points[position])
+                x, y = shard.positions[position]
+                change = basis_change(here, x, y, moved)  # dN^T
                 # X = [-(G N_s)^T Y + dN^T, (G N_s)^T G_E - V_s^T U]
                 X = system[2 * m :, : 2 * m].copy()
                 X[:, :m] += change
@@ -165,10 +144,10 @@ def fill_forms(
                 Q[2 * m :, : 2 * m] = cross
                 # C_s^-1 - C_p^-1 without the cancellation
                 Q[2 * m :, 2 * m :] = np.dot(inverse_s, np.dot(gain, inverse_p))
-                if responses.size > 0:
+                if with_response:
                     # R^T = C_s^-1 [X'_1, X_2], X'_1 = -(G N_s)^T Y' + dN'^T; K = S - G_E^T G_E - X_2^T C_s^-1 X_2
-                    X_1 = basis_response(at_point(nested, points[position]), spot[0], spot[1], moved)  # dN'^T
-                    X_1 += np.dot(Z[2 * m :], slopes[start - base : stop - base].T)
+                    X_1 = basis_response(here, x, y, moved)  # dN'^T
+                    X_1 += np.dot(Z[2 * m :], pieces.slopes[start - base : stop - base].T)
                     X_2 = X[:, m:].copy()
                     part = np.dot(inverse_s, X_1)
                     shift[:, :m] = part
@@ -176,41 +155,56 @@ def fill_forms(
                     prior_slope += np.dot(part.T, R[2 * m :])
                     shift[:, m:] = np.dot(inverse_s, X_2)
                     K -= np.dot(X_2.T, shift[:, m:].copy())
-                k = 0
-                for i in range(n_nested):
-                    for j in range(i + 1):
-                        nested_inverse[position, k] = 0.5 * (inverse_s[i, j] + inverse_s[j, i])
-                        k += 1
+                _pack(inverse_s, shard.nested_inverse[position])
             else:
                 form[2 * m :] = 0.0
         # The lower triangles; above the diagonal Q[v, rho] and its like in Gamma were never filled.
-        k = matrix_offsets[position]
+        k = shard.matrix_offsets[position]
         for i in range(size):
             for j in range(i + 1):
                 same = (i < 2 * m) or (j >= 2 * m)
-                matrices[k] = 0.5 * (Q[i, j] + Q[j, i]) if same else Q[i, j]
-                sensitivity[k] = form[i, j]
+                shard.matrices[k] = 0.5 * (Q[i, j] + Q[j, i]) if same else Q[i, j]
+                shard.sensitivity[k] = form[i, j]
                 k += 1
-        if responses.size > 0:
+        if with_response:
             # f = tr(K Cov delta'): unit noise n in the data makes A N^-1 n of the fit, with the prior in N alone
-            response_noise[position] = np.sum(K * (scatter - np.dot(prior_slope, prior_slope.T)))
+            shard.response_noise[position] = np.sum(K * (scatter - np.dot(prior_slope, prior_slope.T)))
             k = response_offsets[position]
-            for i in range(m):
-                for j in range(i + 1):
-                    responses[k] = 0.5 * (K[i, j] + K[j, i])
-                    k += 1
+            k += _pack(K, shard.responses[k:])
             for i in range(2 * m):
                 for j in range(n_nested):
-                    responses[k] = shift[j, i]
+                    shard.responses[k] = shift[j, i]
                     k += 1
-        row += size
-        active += 1
     return -1
 
 
 @njit(cache=True)
+def _pack(matrix: FloatArray, out: FloatArray) -> int:
+    """Write the lower triangle of a matrix that is symmetric up to rounding, row by row; return its size."""
+    k = 0
+    for i in range(matrix.shape[0]):
+        for j in range(i + 1):
+            out[k] = 0.5 * (matrix[i, j] + matrix[j, i])
+            k += 1
+    return k
+
+
+@njit(cache=True)
+def unpack(triangle: FloatArray, start: int, size: int) -> FloatArray:
+    """Symmetric matrix [size, size] whose lower triangle lies row by row from `start` on."""
+    out = np.empty((size, size))
+    k = start
+    for i in range(size):
+        for j in range(i + 1):
+            out[i, j] = triangle[k]
+            out[j, i] = triangle[k]
+            k += 1
+    return out
+
+
+@njit(cache=True)
 def _subtract_overlap(block: FloatArray, overlap: FloatArray, n_columns: int, moved: IntArray) -> None:
-    """block -= S, from the table of `BandProjection.overlap`."""
+    """Subtract S from a block, read from the table of `BandProjection.overlap`."""
     span = overlap.shape[0] - 1
     for i in range(moved.size):
         for j in range(i, moved.size):  # ascending pixels: j is in the same row as i or in a later one
@@ -223,8 +217,8 @@ def _subtract_overlap(block: FloatArray, overlap: FloatArray, n_columns: int, mo
 
 
 @njit(cache=True)
-def _seen_through(psf: FloatArray, weights: FloatArray, V: FloatArray, moved: IntArray) -> FloatArray:
-    """U^T V [m, n_nested]: U = W P E and V on the window of the image that the moved pixels' light reaches."""
+def _convolved_products(psf: FloatArray, weights: FloatArray, V: FloatArray, moved: IntArray) -> FloatArray:
+    """U^T V [m, n_nested]: U = W P E and V on the window that light of the moved pixels reaches."""
     n_rows, n_columns = weights.shape
     middle_y, middle_x = psf.shape[0] // 2, psf.shape[1] // 2
     rows, columns = moved // n_columns, moved % n_columns
@@ -239,22 +233,9 @@ def _seen_through(psf: FloatArray, weights: FloatArray, V: FloatArray, moved: In
                 U[i, (y - top) * width + x - left] = (
                     weights[y, x] * psf[y - rows[i] + middle_y, x - columns[i] + middle_x]
                 )
-    seen = np.empty((V.shape[0], U.shape[1]))
+    V_window = np.empty((V.shape[0], U.shape[1]))
     for k in range(V.shape[0]):
         for y in range(top, bottom):
             for x in range(left, right):
-                seen[k, (y - top) * width + x - left] = V[k, y * n_columns + x]
-    return np.dot(U, seen.T)
-
-
-@njit(cache=True)
-def unpack(triangle: FloatArray, start: int, size: int) -> FloatArray:
-    """The symmetric matrix [size, size] whose lower triangle lies row by row from `start` on."""
-    out = np.empty((size, size))
-    k = start
-    for i in range(size):
-        for j in range(i + 1):
-            out[i, j] = triangle[k]
-            out[j, i] = triangle[k]
-            k += 1
-    return out
+                V_window[k, (y - top) * width + x - left] = V[k, y * n_columns + x]
+    return np.dot(U, V_window.T)

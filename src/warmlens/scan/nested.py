@@ -1,8 +1,8 @@
 """Nested source shapelets: a few more functions at the source point of each position, in both fits.
 
 Birrer+2017 sec. 4.1 gives the source extra freedom where the perturber acts, so that Delta R is not what
-a slightly too coarse source basis gains from bent rays. Where a position's source point lies, how large its
-shapelets are and on which rays they count is decided here; the operator only needs the numbers.
+a slightly too coarse source basis gains from bent rays. This module says where a position's source point lies, how
+large its shapelets are and on which rays they count.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class NestedShapelets:
 def nested_points(
     nested: NestedShapelets, rays: SmoothRays, n_columns: int, perturber: Perturber, positions: FloatArray
 ) -> FloatArray:
-    """Centre and scale (source x, source y, beta) [arcsec] of each position's nested shapelets, [n_positions, 3].
+    """Return centre and scale (source x, source y, beta) [arcsec] of nested shapelets, [n_positions, 3].
 
     The scale is the truncation radius as the source sees it, beta = r_trunc / sqrt(mu) (Birrer+2017 sec. 4.1 sets
     it by the average magnification within the perturber), clipped to `beta_range`. The average is one of
@@ -87,7 +87,7 @@ def nested_points(
 
 @njit(cache=True)
 def _source_points(source: FloatArray, in_pixels: FloatArray, step: FloatArray, radius: float) -> FloatArray:
-    """Source position and mean 1/|mu| within the radius of each position [n_positions, 3]."""
+    """Return source position and mean 1/|mu| within the radius of each position [n_positions, 3]."""
     n_rows, n_columns = source.shape[:2]
     area = abs(step[0, 0] * step[1, 1] - step[0, 1] * step[1, 0])
     reach = math.ceil(radius / math.sqrt(area)) + 1
@@ -117,7 +117,7 @@ def _source_points(source: FloatArray, in_pixels: FloatArray, step: FloatArray, 
 
 @njit(cache=True)
 def _source_area(source: FloatArray, row: int, column: int) -> float:
-    """Area that the mesh cell between four pixel centres maps to, as two triangles."""
+    """Return the area that the mesh cell between four pixel centres maps to, as two triangles."""
     a, b = source[row, column], source[row, column + 1]
     c, d = source[row + 1, column], source[row + 1, column + 1]
     first = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
@@ -126,32 +126,25 @@ def _source_area(source: FloatArray, row: int, column: int) -> float:
 
 
 def nested_basis(n_max: int, rays: SmoothRays, perturber: Perturber) -> PerturbedBasis:
-    """Shapelets up to n_max for `at_point`; no function at all if n_max is negative."""
+    """Bundle shapelets up to n_max for `at_point`; no function at all if n_max is negative."""
     basis = perturbed_basis((ShapeletSet(max(n_max, 0), 1.0, 0.0, 0.0),), rays, perturber)
     return basis if n_max >= 0 else basis._replace(n_coef=0)
 
 
 @njit(cache=True)
 def at_point(nested: PerturbedBasis, point: FloatArray) -> PerturbedBasis:
-    """The nested shapelets moved to (source x, source y, beta)."""
+    """Move the nested shapelets to (source x, source y, beta)."""
     packed = nested.packed.copy()
     packed[0, 1], packed[0, 2], packed[0, 3] = point[2], point[0], point[1]
     return PerturbedBasis(
-        nested.n_coef,
-        packed,
-        nested.factors,
-        nested.theta_x,
-        nested.theta_y,
-        nested.source_x,
-        nested.source_y,
-        nested.theta_e,
-        nested.r_trunc,
-    )
+        nested.n_coef, packed, nested.factors, nested.theta_x, nested.theta_y, nested.source_x, nested.source_y,
+        nested.theta_e, nested.r_trunc,
+    )  # fmt: skip
 
 
 @njit(cache=True)
 def nested_columns(nested: PerturbedBasis, point: FloatArray) -> tuple[IntArray, FloatArray]:
-    """N_s^T of docs/scan.md where it is not negligible: ascending pixels [n_seen], functions [n_coef, n_seen]."""
+    """Return N_s^T of docs/scan.md where it matters: ascending pixels [n_seen], functions [n_coef, n_seen]."""
     basis = at_point(nested, point)
     pixels = _seen_from(basis, point)
     n_sub = basis.source_x.shape[1]
@@ -174,7 +167,7 @@ def nested_columns(nested: PerturbedBasis, point: FloatArray) -> tuple[IntArray,
 
 @njit(cache=True)
 def _seen_from(nested: PerturbedBasis, point: FloatArray) -> IntArray:
-    """Pixels with a ray near (source x, source y), as the scale counts, ascending.
+    """Return pixels with a ray near (source x, source y) in units of the scale, ascending.
 
     All images of the source point count, not only the one that is perturbed. A function of order n has fallen
     below 1e-8 of its maximum 4.5 scales beyond its turning point sqrt(2n + 1); pixels without a sub-pixel
@@ -196,14 +189,11 @@ def _seen_from(nested: PerturbedBasis, point: FloatArray) -> IntArray:
 
 @njit(cache=True)
 def nested_block(nested: PerturbedBasis, points: FloatArray) -> tuple[IntArray, FloatArray]:
-    """N_s^T of several points one below the other, on all pixels that see one of them.
+    """Return N_s^T of several points one below the other, on all pixels that see one of them.
 
-    Neighbouring positions see nearly the same pixels: one product with a dense matrix is faster than one for each.
-
-    Returns
-    -------
-    tuple
-        Pixels [n_seen], ascending, and functions [n_points * n_coef, n_seen], 0 where `nested_columns` leaves out.
+    These are ascending pixels [n_seen] and functions [n_points * n_coef, n_seen], 0 where `nested_columns` leaves
+    pixels out. Neighbouring positions see nearly the same pixels: one product with a dense matrix is faster than
+    one for each.
     """
     if nested.n_coef == 0:
         return np.empty(0, dtype=np.int64), np.empty((0, 0))

@@ -1,4 +1,4 @@
-"""The perturber of the substructure scan, the rays it moves and the positions it is put at."""
+"""The perturber of the substructure scan, and the rays and pixels that it moves."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from warmlens.imaging.shapelets import (
 from warmlens.lensing.rays import SmoothRays
 from warmlens.types import BoolArray, FloatArray, IntArray
 
-_BLOCK_ROWS = 512  # moved pixels of the positions that are worked on together
+_BLOCK_ROWS = 512  # moved pixels of the positions that are computed together
 _STEP = 2e-5  # of r_trunc: deflections on both sides of 0 for the derivative by the amplitude
 
 
@@ -51,7 +51,7 @@ class Perturber:
         return 2.0 * self.r_trunc
 
     def deflection(self, dx: FloatArray, dy: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Deflection (x, y) [arcsec] at offsets (dx, dy) [arcsec] from the clump, any common shape.
+        """Return the deflection (x, y) [arcsec] at offsets (dx, dy) [arcsec] from the clump, any common shape.
 
         Radial, as for every mass, so zero by symmetry at the centre. The lens equation subtracts it.
         """
@@ -62,7 +62,7 @@ class Perturber:
 
 @njit(cache=True)
 def deflection_over_radius(radius: float, theta_e: float, r_trunc: float) -> float:
-    """|alpha_clump|(r) / r, for compiled callers; Birrer+2017, equation of sec. 4.1."""
+    """Return |alpha_clump|(r) / r; Birrer+2017, equation of sec. 4.1."""
     if radius == 0.0 or radius >= 2.0 * r_trunc:
         return 0.0
     if radius <= r_trunc:
@@ -95,30 +95,23 @@ class PerturbedBasis(NamedTuple):
 def perturbed_basis(sets: Sequence[ShapeletSet], rays: SmoothRays, perturber: Perturber) -> PerturbedBasis:
     """Bundle what `basis_change` needs at every position."""
     return PerturbedBasis(
-        n_coefficients(sets),
-        pack_sets(sets),
-        recurrence_factors(sets),
-        rays.theta_x,
-        rays.theta_y,
-        rays.source_x,
-        rays.source_y,
-        perturber.theta_e,
-        perturber.r_trunc,
-    )
+        n_coefficients(sets), pack_sets(sets), recurrence_factors(sets),
+        rays.theta_x, rays.theta_y, rays.source_x, rays.source_y, perturber.theta_e, perturber.r_trunc,
+    )  # fmt: skip
 
 
 @njit(cache=True)
 def basis_change(basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray) -> FloatArray:
-    """dB^T of docs/scan.md [n_coef, m]: basis at the perturbed rays minus basis at the smooth rays.
+    """Return dB^T of docs/scan.md [n_coef, m]: basis at the perturbed rays minus basis at the smooth rays.
 
-    For compiled callers; `moved` are the m pixels of a perturber at (center_x, center_y).
+    `moved` are the m pixels of a perturber at (center_x, center_y).
     """
     return _difference(basis, center_x, center_y, moved, basis.theta_e, 0.0)
 
 
 @njit(cache=True)
 def basis_response(basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray) -> FloatArray:
-    """dB'^T of docs/scan.md [n_coef, m]: derivative of dB^T by the perturber's amplitude, 1 for theta_e, at 0.
+    """Return dB'^T of docs/scan.md [n_coef, m]: derivative of dB^T by the amplitude, 1 for theta_e, at 0.
 
     A central difference over a step so small against the functions that its error is some 1e-8 of their slopes.
     """
@@ -130,7 +123,7 @@ def basis_response(basis: PerturbedBasis, center_x: float, center_y: float, move
 def _difference(
     basis: PerturbedBasis, center_x: float, center_y: float, moved: IntArray, upper: float, lower: float
 ) -> FloatArray:
-    """Basis [n_coef, m] at rays moved by a perturber of theta_e `upper` minus that of `lower`; 0: smooth rays."""
+    """Return the basis [n_coef, m] at rays moved by theta_e `upper` minus that at `lower`; 0: smooth rays."""
     n_sub = basis.theta_x.shape[1]
     x, y = np.empty((2 * n_sub, moved.size)), np.empty((2 * n_sub, moved.size))
     weights = np.empty(2 * n_sub)
@@ -151,7 +144,7 @@ def _difference(
 
 
 def position_blocks(pixel_offsets: IntArray) -> list[tuple[int, int]]:
-    """Runs [first, last) of one or more positions with about `_BLOCK_ROWS` moved pixels each."""
+    """Divide the positions into runs [first, last) with about `_BLOCK_ROWS` moved pixels each."""
     n_blocks = int(pixel_offsets[-1]) // _BLOCK_ROWS + 1
     edges = np.searchsorted(pixel_offsets, np.linspace(0, pixel_offsets[-1], n_blocks + 1))
     edges[0], edges[-1] = 0, pixel_offsets.size - 1
@@ -162,7 +155,7 @@ def position_blocks(pixel_offsets: IntArray) -> list[tuple[int, int]]:
 def moved_pixels(
     theta_x: FloatArray, theta_y: FloatArray, unmasked: BoolArray, positions: FloatArray, reach: float
 ) -> tuple[IntArray, IntArray]:
-    """Pixels with a sub-pixel ray that a perturber at each position moves, as CSR (offsets, pixels).
+    """Find the pixels with a sub-pixel ray that a perturber at each position moves, as CSR (offsets, pixels).
 
     A position whose moved pixels are all masked (or off the image) gets none.
     """

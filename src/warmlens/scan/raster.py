@@ -32,7 +32,7 @@ class Raster:
 
     @classmethod
     def around(cls, mask: BoolArray, grid: PixelGrid, step: float) -> Raster:
-        """Raster over the smallest upright box that holds all pixels of the mask [ny, nx]."""
+        """Cover the smallest upright box that holds all pixels of the mask [ny, nx]."""
         if mask.shape != grid.shape:
             raise ValueError(f"mask is {mask.shape}, the pixel grid {grid.shape}")
         if not mask.any():
@@ -64,7 +64,7 @@ class Raster:
         return self.shape[0] * self.shape[1]
 
     def coordinates(self) -> FloatArray:
-        """Sky positions (x, y) [arcsec], [n_positions, 2], row-major in [y, x]: x runs fastest."""
+        """Return sky positions (x, y) [arcsec], [n_positions, 2], row-major in [y, x]: x runs fastest."""
         ny, nx = self.shape
         y = self.center[1] + self.step * (np.arange(ny) - 0.5 * (ny - 1))
         x = self.center[0] + self.step * (np.arange(nx) - 0.5 * (nx - 1))

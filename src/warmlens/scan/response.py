@@ -12,11 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from warmlens.imaging.shapelets import ShapeletSet, n_coefficients
-from warmlens.lensing.rays import SmoothRays
 from warmlens.scan.forms import unpack
-from warmlens.scan.operator import OperatorShard
-from warmlens.scan.perturber import PerturbedBasis, Perturber, basis_change, perturbed_basis
+from warmlens.scan.perturber import PerturbedBasis, basis_change, perturbed_basis
+from warmlens.scan.shard import OperatorShard, ScanBand
 from warmlens.types import FloatArray, IntArray
 
 
@@ -31,9 +29,9 @@ class LinearResponse:
     score
         -1/2 dJ/d eps at eps = 0, any shape.
     fisher
-        Information on eps, what the linear columns can mimic taken out; the variance of the score. Same shape.
+        Information on eps without what the linear columns can mimic; the variance of the score. Same shape.
     noise
-        f, the part of it that the noise of the fitted source makes on the mean; shape to broadcast.
+        f, the mean of the part of it that the noise of the fitted source makes; shape to broadcast.
     """
 
     score: FloatArray
@@ -48,9 +46,9 @@ class LinearResponse:
     @property
     def error(self) -> FloatArray:
         """Standard deviation of the amplitude, sqrt(F) / (F - f); NaN like it."""
-        known = self.fisher > self.noise
         clean = self.fisher - self.noise
-        return np.divide(np.sqrt(self.fisher), clean, out=np.full_like(self.fisher, np.nan), where=known)
+        informed = self.fisher > self.noise
+        return np.divide(np.sqrt(self.fisher), clean, out=np.full_like(self.fisher, np.nan), where=informed)
 
     @property
     def significance(self) -> FloatArray:
@@ -60,12 +58,7 @@ class LinearResponse:
 
 
 def expected_delta_r(
-    shard: OperatorShard,
-    sets: tuple[ShapeletSet, ...],
-    rays: SmoothRays,
-    perturber: Perturber,
-    theta_e: Sequence[float],
-    source_coefficients: FloatArray,
+    shard: OperatorShard, band: ScanBand, theta_e: Sequence[float], source_coefficients: FloatArray
 ) -> FloatArray:
     """Expected Delta R, <= 0, of an image of this source that does contain the perturber fitted to it.
 
@@ -75,7 +68,7 @@ def expected_delta_r(
 
     Parameters
     ----------
-    shard, sets, rays, perturber
+    shard, band
         As for `warmlens.scan.apply.delta_r`, the shard built with its response. The perturber's own theta_e does
         not matter.
     theta_e
@@ -90,29 +83,18 @@ def expected_delta_r(
     """
     source_coefficients = np.ascontiguousarray(source_coefficients, dtype=np.float64)
     check_response(shard)
-    if source_coefficients.shape != (n_coefficients(sets),):
+    if source_coefficients.shape != (band.model.n_source,):
         raise ValueError(
-            f"source_coefficients must be [n_source] = [{n_coefficients(sets)}] for these sets, "
+            f"source_coefficients must be [n_source] = [{band.model.n_source}] for these sets, "
             f"got {source_coefficients.shape}"
         )
-    return np.stack(
-        [
-            -_improvement(
-                perturbed_basis(sets, rays, dataclasses.replace(perturber, theta_e=float(value))),
-                shard.positions,
-                shard.pixel_offsets,
-                shard.pixels,
-                shard.response_offsets,
-                shard.responses,
-                source_coefficients,
-            )
-            for value in theta_e
-        ]
-    )
+    perturbers = [dataclasses.replace(band.perturber, theta_e=float(value)) for value in theta_e]
+    bases = [perturbed_basis(band.sets, band.rays, perturber) for perturber in perturbers]
+    return np.stack([-_improvement(basis, shard, shard.response_offsets, source_coefficients) for basis in bases])
 
 
 def detectable_theta_e(theta_e: FloatArray, expected: FloatArray, delta_r: float) -> FloatArray:
-    """Smallest theta_e [arcsec] with which the expected Delta R falls to -delta_r.
+    """Find the smallest theta_e [arcsec] with which the expected Delta R falls to -delta_r.
 
     Parameters
     ----------
@@ -121,17 +103,17 @@ def detectable_theta_e(theta_e: FloatArray, expected: FloatArray, delta_r: float
     expected
         `expected_delta_r` of them, of all bands together, [n, ...].
     delta_r
-        What counts as seen, > 0.
+        Size of a detection, > 0.
 
     Returns
     -------
     FloatArray
         [...]. Between the values a power law; below the first the square of theta_e, as it is for
-        small deflections; NaN where even the largest is not seen.
+        small deflections; NaN where even the largest is not detected.
     """
     gain = -np.asarray(expected)
-    seen = gain >= delta_r
-    upper = np.argmax(seen, axis=0)  # the first that is seen
+    detected = gain >= delta_r
+    upper = np.argmax(detected, axis=0)  # the first that is detected
     lower = np.maximum(upper - 1, 0)
     high = np.take_along_axis(gain, upper[None], axis=0)[0]
     low = np.take_along_axis(gain, lower[None], axis=0)[0]
@@ -139,11 +121,11 @@ def detectable_theta_e(theta_e: FloatArray, expected: FloatArray, delta_r: float
         below = theta_e[upper] * np.sqrt(delta_r / high)
         slope = np.log(theta_e[upper] / theta_e[lower]) / np.log(high / low)
         between = theta_e[upper] * (delta_r / high) ** slope
-    return np.where(seen.any(axis=0), np.where(upper == 0, below, between), np.nan)
+    return np.where(detected.any(axis=0), np.where(upper == 0, below, between), np.nan)
 
 
 def mass_within_truncation(theta_e: FloatArray, r_trunc: float, sigma_crit: float) -> FloatArray:
-    """Mass of the perturber within r_trunc [Msun]: pi theta_e r_trunc Sigma_crit, as its deflection there says.
+    """Mass of the perturber within r_trunc [Msun]: pi theta_e r_trunc Sigma_crit.
 
     `sigma_crit` is in Msun per square arcsec of the lens plane, theta_e and r_trunc in arcsec.
     """
@@ -151,33 +133,22 @@ def mass_within_truncation(theta_e: FloatArray, r_trunc: float, sigma_crit: floa
 
 
 def check_response(shard: OperatorShard) -> None:
-    """Refuse a shard without what the linear response needs.
-
-    Raises
-    ------
-    ValueError
-        If the shard was built or read without it.
-    """
+    """Raise a ValueError if the shard was built or read without the linear response."""
     if shard.responses.size != shard.response_offsets[-1]:
         raise ValueError("the shard has no linear response; build it and read it with")
 
 
 @njit(cache=True)
 def _improvement(
-    basis: PerturbedBasis,
-    positions: FloatArray,
-    pixel_offsets: IntArray,
-    pixels: IntArray,
-    response_offsets: IntArray,
-    responses: FloatArray,
-    coefficients: FloatArray,
+    basis: PerturbedBasis, shard: OperatorShard, response_offsets: IntArray, coefficients: FloatArray
 ) -> FloatArray:
-    out = np.zeros(positions.shape[0])
-    for position in range(positions.shape[0]):
-        moved = pixels[pixel_offsets[position] : pixel_offsets[position + 1]]
+    """Return delta.K delta of each position [n_positions], never negative."""
+    out = np.zeros(shard.positions.shape[0])
+    for position in range(out.size):
+        moved = shard.pixels[shard.pixel_offsets[position] : shard.pixel_offsets[position + 1]]
         if moved.size > 0:
-            change = basis_change(basis, positions[position, 0], positions[position, 1], moved)
+            change = basis_change(basis, shard.positions[position, 0], shard.positions[position, 1], moved)
             delta = np.dot(change.T, coefficients)
-            K = unpack(responses, response_offsets[position], moved.size)
+            K = unpack(shard.responses, response_offsets[position], moved.size)
             out[position] = max(np.dot(delta, np.dot(K, delta)), 0.0)
     return out

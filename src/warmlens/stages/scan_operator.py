@@ -22,6 +22,7 @@ from warmlens.products.scan_operator import (
 )
 from warmlens.products.smooth_model import read_smooth_model
 from warmlens.scan.operator import build_shard, project_band
+from warmlens.scan.shard import ScanBand
 from warmlens.stage_table import STAGES, ScanSettings
 from warmlens.stages.job import Job
 
@@ -38,7 +39,8 @@ def run_design(job: Job[ScanSettings]) -> None:
     for name in model.fits:
         band, convolution = scan_band(observed, model, name)
         linear = scan_linear_model(scan, observed, model, name)
-        projection = project_band(linear, convolution, band.weights, model.rays, perturber)
+        scanned = ScanBand(linear, model.sets, model.rays, perturber, convolution, band.weights)
+        projection = project_band(scanned)
         datasets |= design_datasets(name, linear, projection)
         log.info("%s: %d columns", name, linear.design.shape[1])
     metadata = {
@@ -83,24 +85,15 @@ def run(job: Job[ScanSettings]) -> None:
     datasets = {
         "positions": Dataset(positions, "arcsec", ("position", "component"), "perturber on the sky (x, y)")
     }
-    nested = scan_nested(scan)
+    nested, perturber = scan_nested(scan), scan_perturber(scan)
     with job.open("design") as design:
         check_origin(design, job)
         bands = design.metadata["bands"]
         for name in bands:
             band, convolution = scan_band(observed, model, name)
-            shard = build_shard(
-                read_linear_model(design, name),
-                read_projection(design, name),
-                convolution,
-                band.weights,
-                model.sets,
-                model.rays,
-                scan_perturber(scan),
-                positions,
-                nested,
-                response="amplitude" in scan.statistics,
-            )
+            linear, projection = read_linear_model(design, name), read_projection(design, name)
+            scanned = ScanBand(linear, model.sets, model.rays, perturber, convolution, band.weights)
+            shard = build_shard(scanned, projection, positions, nested, response="amplitude" in scan.statistics)
             datasets |= shard_datasets(name, shard)
             log.info("%s: positions %d to %d", name, *span)
     job.write(datasets, {"bands": bands, "nested_n_max": -1 if nested is None else nested.n_max})

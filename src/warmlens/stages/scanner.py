@@ -21,6 +21,7 @@ from warmlens.products.smooth_model import read_smooth_model
 from warmlens.scan.apply import delta_r, delta_r_and_response
 from warmlens.scan.maps import residual_images, residual_maps
 from warmlens.scan.response import LinearResponse, expected_delta_r
+from warmlens.scan.shard import ScanBand
 from warmlens.stage_table import ScanSettings
 from warmlens.stages.job import Job
 from warmlens.stages.scan_operator import check_origin
@@ -115,8 +116,8 @@ class Scanner:
             fit.penalty[residual_rows],
         )
         coefficients = physical_coefficients(linear, fit.coefficients)[: linear.n_source]
-        tau = residual_images(fit, convolution, band.weights)
-        sets, rays = self.model.sets, self.model.rays
+        scanned = ScanBand(linear, self.model.sets, self.model.rays, self._perturber, convolution, band.weights)
+        back_projected = residual_images(fit, convolution, band.weights)
         maps, valid, residuals, responses, expected = [], [], [], [], []
         start = time.monotonic()
         for count, path in enumerate(self._shards, start=1):
@@ -124,18 +125,16 @@ class Scanner:
                 shard = read_shard(artifact, name, sensitivity=residual_rows.size > 0)
                 self._check_positions(artifact, shard.positions)
             if self._amplitude:
-                found, response = delta_r_and_response(shard, sets, rays, self._perturber, coefficients, tau)
+                delta, response = delta_r_and_response(shard, scanned, coefficients, back_projected)
                 responses.append(response)
             else:
-                found = delta_r(shard, sets, rays, self._perturber, coefficients, tau)
-            maps.append(found)
+                delta = delta_r(shard, scanned, coefficients, back_projected)
+            maps.append(delta)
             valid.append(np.diff(shard.pixel_offsets) > 0)
             if residual_rows.size:
-                residuals.append(
-                    residual_maps(shard, linear, chosen, sets, rays, self._perturber, convolution, band.weights)
-                )
+                residuals.append(residual_maps(shard, scanned, chosen))
             if theta_e:
-                expected.append(expected_delta_r(shard, sets, rays, self._perturber, theta_e, coefficients[:, 0]))
+                expected.append(expected_delta_r(shard, scanned, theta_e, coefficients[:, 0]))
             left = (time.monotonic() - start) / count * (len(self._shards) - count)
             log.info("%s: shard %d of %d, %.0f s left", name, count, len(self._shards), left)
         shape = self.raster.shape
