@@ -25,19 +25,12 @@ _DASHES = (0, (4, 2))  # of single samples
 
 @dataclass(frozen=True)
 class Group:
-    """Samples of similar value: a node of a grid, or a range of a continuous prior.
+    """Samples of similar value: a node of a grid, or a range of a continuous prior."""
 
-    Attributes
-    ----------
-    low, high
-        Smallest and largest value; equal at a node.
-    rows
-        Which samples [n], rising.
-    """
-
+    # Smallest and largest value; equal at a node
     low: float
     high: float
-    rows: IntArray
+    rows: IntArray  # which samples [n], rising
 
 
 @dataclass(frozen=True)

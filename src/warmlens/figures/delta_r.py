@@ -28,17 +28,10 @@ SIGNIFICANCE_LIMIT = 5.0
 
 @dataclass(frozen=True)
 class AmplitudeRow:
-    """Linear response of several images; NaN is left blank.
+    """Linear response of several images; NaN is left blank."""
 
-    Attributes
-    ----------
-    significance
-        Best amplitude over its error of each image, [ny, nx].
-    sensitivity, label, column
-        What could be seen at each position [ny, nx], and what that is: in the figure, and in the table.
-    """
-
-    significance: Sequence[FloatArray]
+    significance: Sequence[FloatArray]  # best amplitude over its error of each image, [ny, nx]
+    # What could be seen at each position [ny, nx], and what that is: in the figure, and in the table
     sensitivity: FloatArray
     label: str
     column: str

@@ -69,22 +69,13 @@ def split_by_value(values: FloatArray, n_groups: int) -> list[IntArray]:
 
 @dataclass(frozen=True)
 class Summaries:
-    """Summaries of all bands together, by kind: correlation C(dr), and cumulative N(< Delta R).
+    """Summaries of all bands together, by kind: correlation C(dr), and cumulative N(< Delta R)."""
 
-    Attributes
-    ----------
-    grids
-        Separations [arcsec] or values of Delta R [n_grid].
-    samples, observed
-        Summaries of the samples that have not failed [n, n_grid], and of the observation [n_grid].
-    parameters
-        sample_id, m_th_kev, log10_m_halo_msun of these samples.
-    """
-
-    grids: dict[str, FloatArray]
+    grids: dict[str, FloatArray]  # separations [arcsec] or values of Delta R [n_grid]
+    # Summaries of the samples that have not failed [n, n_grid], and of the observation [n_grid]
     samples: dict[str, FloatArray]
     observed: dict[str, FloatArray]
-    parameters: pd.DataFrame
+    parameters: pd.DataFrame  # sample_id, m_th_kev, log10_m_halo_msun of these samples
 
 
 def read_summaries(inputs: Inputs) -> Summaries:

@@ -46,49 +46,30 @@ _REACH = 1.0  # spacing of rays: unless they are fainter, one lies closer than t
 
 @dataclass(frozen=True)
 class BandMaps:
-    """Maps of one band, NaN where they are left blank.
-
-    Attributes
-    ----------
-    data, model, residual
-        Brightness [e-/s per pixel], and (data - model) / sigma, [ny, nx].
-    source
-        Surface brightness of the source [e-/s per square arcsec], [ny, nx] of the source's grid.
-    chi2_red
-        Outside the cores of the quasar images.
-    """
+    """Maps of one band, NaN where they are left blank."""
 
     name: str
+    # Brightness [e-/s per pixel], and (data - model) / sigma, [ny, nx]
     data: FloatArray
     model: FloatArray
     residual: FloatArray
-    source: FloatArray
-    chi2_red: float
+    source: FloatArray  # surface brightness of the source [e-/s per square arcsec], [ny, nx] of the source's grid
+    chi2_red: float  # outside the cores of the quasar images
 
 
 @dataclass(frozen=True)
 class SmoothModelFigure:
-    """Maps of every band, and what is drawn over them.
-
-    Attributes
-    ----------
-    grid, source_grid
-        Pixels of the image and of the source plane.
-    curves
-        Critical curves and caustics [arcsec].
-    quasars, quasar_source
-        Quasar images on the sky, and where the lens traces each to in the source plane, [n, 2] [arcsec].
-    core_arcsec
-        Radius about the quasar images that chi2_red leaves out.
-    """
+    """Maps of every band, and what is drawn over them."""
 
     bands: tuple[BandMaps, ...]
+    # Pixels of the image and of the source plane
     grid: PixelGrid
     source_grid: PixelGrid
-    curves: Sequence[CriticalCurve]
+    curves: Sequence[CriticalCurve]  # critical curves and caustics [arcsec]
+    # Quasar images on the sky, and where the lens traces each to in the source plane, [n, 2] [arcsec]
     quasars: FloatArray
     quasar_source: FloatArray
-    core_arcsec: float
+    core_arcsec: float  # radius about the quasar images that chi2_red leaves out
 
 
 def read(inputs: Inputs) -> SmoothModelFigure:

@@ -69,30 +69,15 @@ class SourceBasis:
 
 @dataclass(frozen=True)
 class BandSolution:
-    """Best amplitudes of a band.
+    """Best amplitudes of a band."""
 
-    Attributes
-    ----------
-    pixels
-        Flat indices of the unmasked pixels [m].
-    design
-        Whitened columns of unit norm on them [m, n]: source first, then quasars, light, background.
-    factor
-        Cholesky factor (as scipy's `cho_factor`) of design^T design + ridge.
-    amplitudes
-        [n] of the columns as they are in the image: e-/s per pixel.
-    residual
-        (data - model) / sigma on the unmasked pixels [m].
-    fixed
-        Images of the columns that are not the source's, for amplitude 1 [n_fixed, ny, nx].
-    """
-
-    pixels: IntArray
+    pixels: IntArray  # flat indices of the unmasked pixels [m]
+    # Whitened columns of unit norm on them [m, n]: source first, then quasars, light, background
     design: FloatArray
-    factor: tuple[FloatArray, bool]
-    amplitudes: FloatArray
-    residual: FloatArray
-    fixed: FloatArray
+    factor: tuple[FloatArray, bool]  # Cholesky factor (as scipy's `cho_factor`) of design^T design + ridge
+    amplitudes: FloatArray  # [n] of the columns as they are in the image: e-/s per pixel
+    residual: FloatArray  # (data - model) / sigma on the unmasked pixels [m]
+    fixed: FloatArray  # images of the columns that are not the source's, for amplitude 1 [n_fixed, ny, nx]
 
     @property
     def n_source(self) -> int:
@@ -116,23 +101,14 @@ class BandSolution:
 
 @dataclass(frozen=True)
 class Solution:
-    """The model at one parameter vector: traced to the source plane, and its amplitudes band by band.
-
-    Attributes
-    ----------
-    center
-        Centre of the source basis [2] [arcsec].
-    quasar_sources
-        Traced quasar images [n_quasars, 2] [arcsec].
-    source_x, source_y
-        Traced rays [npix, s2] [arcsec].
-    """
+    """The model at one parameter vector: traced to the source plane, and its amplitudes band by band."""
 
     vector: FloatArray
     macro: Macro
-    center: FloatArray
-    quasar_sources: FloatArray
+    center: FloatArray  # centre of the source basis [2] [arcsec]
+    quasar_sources: FloatArray  # traced quasar images [n_quasars, 2] [arcsec]
     sets: tuple[ShapeletSet, ...]
+    # Traced rays [npix, s2] [arcsec]
     source_x: FloatArray
     source_y: FloatArray
     bands: tuple[BandSolution, ...]

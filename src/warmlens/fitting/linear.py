@@ -20,49 +20,23 @@ _BLOCK_COLUMNS = 64
 
 @dataclass(frozen=True)
 class LinearModel:
-    """Whitened design matrix of one band and its factorisation.
+    """Whitened design matrix of one band and its factorisation."""
 
-    Attributes
-    ----------
-    design
-        A [npix, n] = W P B, columns scaled to unit norm; rows of masked pixels are zero.
-    column_norms
-        Norms of the whitened columns before scaling [n].
-    inverse_factor
-        L^-1 [n, n], lower triangular, L L^T = A^T A + Lambda.
-    prior
-        Diagonal of Lambda [n], > 0: the weight of the Gaussian prior on each scaled coefficient.
-    n_source
-        Number of leading columns that a change of the deflection moves: the source.
-    """
-
-    design: FloatArray
-    column_norms: FloatArray
-    inverse_factor: FloatArray
-    prior: FloatArray
-    n_source: int
+    design: FloatArray  # A [npix, n] = W P B, columns scaled to unit norm; rows of masked pixels are zero
+    column_norms: FloatArray  # norms of the whitened columns before scaling [n]
+    inverse_factor: FloatArray  # L^-1 [n, n], lower triangular, L L^T = A^T A + Lambda
+    prior: FloatArray  # diagonal of Lambda [n], > 0: the weight of the Gaussian prior on each scaled coefficient
+    n_source: int  # number of leading columns that a change of the deflection moves: the source
 
 
 @dataclass(frozen=True)
 class LinearFit:
-    """Best fit of k images.
+    """Best fit of k images."""
 
-    Attributes
-    ----------
-    coefficients
-        x of the unit-norm columns [n, k]; see `physical_coefficients`.
-    residual
-        r = d - A x, in units of sigma [npix, k].
-    chi2
-        |r|^2 [k].
-    penalty
-        x.Lambda x [k]; chi2 + penalty is the minimum J.
-    """
-
-    coefficients: FloatArray
-    residual: FloatArray
-    chi2: FloatArray
-    penalty: FloatArray
+    coefficients: FloatArray  # x of the unit-norm columns [n, k]; see `physical_coefficients`
+    residual: FloatArray  # r = d - A x, in units of sigma [npix, k]
+    chi2: FloatArray  # |r|^2 [k]
+    penalty: FloatArray  # x.Lambda x [k]; chi2 + penalty is the minimum J
 
 
 def build_linear_model(

@@ -17,22 +17,13 @@ POTENTIAL_SHAPELETS = "SHAPELETS_CART"
 
 @dataclass(frozen=True)
 class Macro:
-    """One smooth model without its amplitudes, in lenstronomy's names.
+    """One smooth model without its amplitudes, in lenstronomy's names."""
 
-    Attributes
-    ----------
-    kwargs_lens, kwargs_light
-        One mapping per lens model and per light model; of light without `amp`.
-    quasars
-        Image positions (x, y) [n, 2] [arcsec].
-    beta
-        Scale of the source's global shapelets [arcsec].
-    """
-
+    # One mapping per lens model and per light model; of light without `amp`
     kwargs_lens: tuple[dict[str, Any], ...]
     kwargs_light: tuple[dict[str, Any], ...]
-    quasars: FloatArray
-    beta: float
+    quasars: FloatArray  # image positions (x, y) [n, 2] [arcsec]
+    beta: float  # scale of the source's global shapelets [arcsec]
 
 
 @dataclass(frozen=True)
@@ -84,20 +75,11 @@ class Parameter:
 
 @dataclass(frozen=True)
 class ParameterSpace:
-    """Free parameters about a first model.
+    """Free parameters about a first model."""
 
-    Attributes
-    ----------
-    base
-        Model that holds all values that are not free.
-    parameters
-        In the order of every parameter vector [n].
-    satellites
-        Pairs (lens component, light component) that share their centre: the light follows the lens.
-    """
-
-    base: Macro
-    parameters: tuple[Parameter, ...]
+    base: Macro  # model that holds all values that are not free
+    parameters: tuple[Parameter, ...]  # in the order of every parameter vector [n]
+    # Pairs (lens component, light component) that share their centre: the light follows the lens
     satellites: tuple[tuple[int, int], ...] = ()
 
     @property

@@ -27,18 +27,10 @@ _WING_BLUR_PIXELS = 3.0
 
 @dataclass(frozen=True)
 class PsfError:
-    """Relative error of a PSF by distance from its centre.
+    """Relative error of a PSF by distance from its centre."""
 
-    Attributes
-    ----------
-    radius
-        Outer edges of the rings [arcsec], ascending.
-    sigma
-        Error of the PSF in each ring, in units of its sum; 0 beyond the last.
-    """
-
-    radius: FloatArray
-    sigma: FloatArray
+    radius: FloatArray  # outer edges of the rings [arcsec], ascending
+    sigma: FloatArray  # error of the PSF in each ring, in units of its sum; 0 beyond the last
 
     def variance(self, grid: PixelGrid, quasars: FloatArray, fluxes: FloatArray) -> FloatArray:
         """Return the variance [ny, nx] about images at positions [n, 2] with fluxes [n], in flux squared."""

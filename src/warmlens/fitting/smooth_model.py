@@ -23,40 +23,24 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class BandFit:
-    """Best amplitudes of one band.
+    """Best amplitudes of one band."""
 
-    Attributes
-    ----------
-    source_coefficients, fixed_coefficients
-        [n_source] and [n_fixed], in e-/s per pixel and per unit of the columns.
-    fixed_image, model
-        Light that is not the source's, and everything, [ny, nx] [e-/s per pixel].
-    sigma
-        Noise with the quasars' PSF error, inf where masked, [ny, nx] [e-/s per pixel].
-    psf
-        Point spread function of the model, sum 1.
-    chi2, n_pixels
-        Sum over the unmasked pixels of (data - model)^2 / sigma^2, and their number.
-    chi2_outside_cores, n_pixels_outside_cores
-        The same without the cores of the quasar images.
-    chi2_noise_only
-        As `chi2_outside_cores`, with the noise of the observation alone.
-    n_columns
-        Amplitudes fitted.
-    """
-
+    # [n_source] and [n_fixed], in e-/s per pixel and per unit of the columns
     source_coefficients: FloatArray
     fixed_coefficients: FloatArray
+    # Light that is not the source's, and everything, [ny, nx] [e-/s per pixel]
     fixed_image: FloatArray
     model: FloatArray
-    sigma: FloatArray
-    psf: FloatArray
+    sigma: FloatArray  # noise with the quasars' PSF error, inf where masked, [ny, nx] [e-/s per pixel]
+    psf: FloatArray  # point spread function of the model, sum 1
+    # Sum over the unmasked pixels of (data - model)^2 / sigma^2, and their number
     chi2: float
     n_pixels: int
+    # The same without the cores of the quasar images
     chi2_outside_cores: float
     n_pixels_outside_cores: int
-    chi2_noise_only: float
-    n_columns: int
+    chi2_noise_only: float  # as `chi2_outside_cores`, with the noise of the observation alone
+    n_columns: int  # amplitudes fitted
 
     @property
     def chi2_red(self) -> float:

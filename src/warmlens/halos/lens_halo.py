@@ -26,38 +26,19 @@ class Subhalos(SubhaloStructure):
 
 @dataclass(frozen=True)
 class HaloRealization:
-    """One drawn halo.
+    """One drawn halo."""
 
-    Attributes
-    ----------
-    subhalos
-        Subhalos inside the field |x|, |y| <= half_width_arcsec.
-    n_accreted
-        Halos accreted above the resolution; the sum of the next three.
-    n_friction, n_stripped_below, n_surviving
-        Of these: lost to dynamical friction, stripped below min_mass_msun, and left (in the whole halo).
-    f_sub
-        Mass of all survivors over the mass of the halo.
-    cumulative_mass_function
-        Survivors with log10(m_bound) above each of `MASS_BINS`.
-    cumulative_vmax_function
-        Survivors with v_max above each of `VMAX_BINS`.
-    tree_steps
-        Steps of the merger tree.
-    z_half
-        Redshift at which the trunk had half its mass.
-    """
-
-    subhalos: Subhalos
-    n_accreted: int
+    subhalos: Subhalos  # subhalos inside the field |x|, |y| <= half_width_arcsec
+    n_accreted: int  # halos accreted above the resolution; the sum of the next three
+    # Of these: lost to dynamical friction, stripped below min_mass_msun, and left (in the whole halo)
     n_friction: int
     n_stripped_below: int
     n_surviving: int
-    f_sub: float
-    cumulative_mass_function: IntArray
-    cumulative_vmax_function: IntArray
-    tree_steps: int
-    z_half: float
+    f_sub: float  # mass of all survivors over the mass of the halo
+    cumulative_mass_function: IntArray  # survivors with log10(m_bound) above each of `MASS_BINS`
+    cumulative_vmax_function: IntArray  # survivors with v_max above each of `VMAX_BINS`
+    tree_steps: int  # steps of the merger tree
+    z_half: float  # redshift at which the trunk had half its mass
 
 
 class HaloGenerator:

@@ -59,33 +59,20 @@ class SubhaloStructure:
 
 @dataclass(frozen=True)
 class WholeHalo(SubhaloStructure):
-    """One halo with all its surviving subhalos.
+    """One halo with all its surviving subhalos."""
 
-    Attributes
-    ----------
-    m_halo_msun, z_root
-        M200c of the host [Msun] and the redshift at which it has that mass and subhalos are observed.
-    circularity, radius_kpc
-        Of each subhalo: that of its orbit at infall, and its distance from the centre of the host.
-    n_accreted
-        Halos accreted above the resolution: lost to dynamical friction, stripped or surviving.
-    n_friction, n_stripped_below
-        Of these: lost to dynamical friction, and stripped below min_mass_msun.
-    tree_steps
-        Steps of the merger tree.
-    z_half
-        Redshift at which the trunk had half its mass.
-    """
-
+    # M200c of the host [Msun] and the redshift at which it has that mass and subhalos are observed
     m_halo_msun: float
     z_root: float
+    # Of each subhalo: that of its orbit at infall, and its distance from the centre of the host
     circularity: FloatArray
     radius_kpc: FloatArray
-    n_accreted: int
+    n_accreted: int  # halos accreted above the resolution: lost to dynamical friction, stripped or surviving
+    # Of these: lost to dynamical friction, and stripped below min_mass_msun
     n_friction: int
     n_stripped_below: int
-    tree_steps: int
-    z_half: float
+    tree_steps: int  # steps of the merger tree
+    z_half: float  # redshift at which the trunk had half its mass
 
     @property
     def n_surviving(self) -> int:

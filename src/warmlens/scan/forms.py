@@ -14,22 +14,13 @@ from warmlens.types import FloatArray, IntArray
 
 
 class Optics(NamedTuple):
-    """What the band gives to every position.
+    """What the band gives to every position."""
 
-    Attributes
-    ----------
-    psf, weights
-        PSF, and 1/sigma [ny, nx].
-    overlap
-        Table of `BandProjection.overlap`.
-    ridge
-        Of the nested shapelets; 0 without them.
-    """
-
+    # PSF, and 1/sigma [ny, nx]
     psf: FloatArray
     weights: FloatArray
-    overlap: FloatArray
-    ridge: float
+    overlap: FloatArray  # table of `BandProjection.overlap`
+    ridge: float  # of the nested shapelets; 0 without them
 
 
 class Pieces(NamedTuple):

@@ -19,19 +19,12 @@ from warmlens.types import FloatArray
 
 @dataclass(frozen=True)
 class ResidualMaps:
-    """Weighted squared differences of image and models (Birrer+2017 sec. 4.1), each [n_positions, k].
+    """Weighted squared differences of image and models (Birrer+2017 sec. 4.1), each [n_positions, k]."""
 
-    Attributes
-    ----------
-    r_smooth, r_pert
-        |d - model|^2 of the fits without and with the perturber.
-    r_sens
-        |model_pert - model_smooth|^2.
-    """
-
+    # |d - model|^2 of the fits without and with the perturber
     r_smooth: FloatArray
     r_pert: FloatArray
-    r_sens: FloatArray
+    r_sens: FloatArray  # |model_pert - model_smooth|^2
 
 
 def residual_images(fit: LinearFit, convolution: Convolution, weights: FloatArray) -> FloatArray:

@@ -27,18 +27,10 @@ _STEP = 2e-5  # of r_trunc: deflections on both sides of 0 for the derivative by
 
 @dataclass(frozen=True)
 class Perturber:
-    """Clump with the deflection of a truncated isothermal sphere (Birrer+2017, sec. 4.1).
+    """Clump with the deflection of a truncated isothermal sphere (Birrer+2017, sec. 4.1)."""
 
-    Attributes
-    ----------
-    theta_e
-        Deflection inside `r_trunc` [arcsec], > 0; 0.01 in the paper.
-    r_trunc
-        Truncation radius [arcsec], > 0; 0.1 in the paper.
-    """
-
-    theta_e: float
-    r_trunc: float
+    theta_e: float  # deflection inside `r_trunc` [arcsec], > 0; 0.01 in the paper
+    r_trunc: float  # truncation radius [arcsec], > 0; 0.1 in the paper
 
     def __post_init__(self) -> None:
         for name, value in (("theta_e", self.theta_e), ("r_trunc", self.r_trunc)):

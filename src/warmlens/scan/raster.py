@@ -13,22 +13,13 @@ from warmlens.types import BoolArray, FloatArray
 
 @dataclass(frozen=True)
 class Raster:
-    """Positions of the scan: a regular grid, symmetric about its centre.
+    """Positions of the scan: a regular grid, symmetric about its centre."""
 
-    Attributes
-    ----------
-    width, height
-        Extent [arcsec]; round(width / step) x round(height / step) positions.
-    step
-        Distance of neighbours [arcsec]; 0.05 in the paper.
-    center
-        Sky position (x, y) of the centre [arcsec].
-    """
-
+    # Extent [arcsec]; round(width / step) x round(height / step) positions
     width: float
     height: float
-    step: float
-    center: tuple[float, float] = (0.0, 0.0)
+    step: float  # distance of neighbours [arcsec]; 0.05 in the paper
+    center: tuple[float, float] = (0.0, 0.0)  # sky position (x, y) of the centre [arcsec]
 
     @classmethod
     def around(cls, mask: BoolArray, grid: PixelGrid, step: float) -> Raster:

@@ -28,29 +28,17 @@ _GRIDS = {"correlation": "separation", "cumulative": "thresholds", "counts": "co
 
 @dataclass(frozen=True)
 class Samples:
-    """The samples of a campaign and their summaries, all bands together.
+    """The samples of a campaign and their summaries, all bands together."""
 
-    Attributes
-    ----------
-    table
-        Parameters and fate of all samples, one row each.
-    good
-        Rows that did not fail [n]; only these have summaries.
-    summaries, grids
-        Summaries of samples, observation and null test by name, and the grids that they are taken on.
-    null_id, n_null_failed
-        Numbers of the null test's mocks that have summaries, and how many failed.
-    warnings
-        Of the smooth model, and of failed samples.
-    """
-
-    table: pd.DataFrame
-    good: BoolArray
+    table: pd.DataFrame  # parameters and fate of all samples, one row each
+    good: BoolArray  # rows that did not fail [n]; only these have summaries
+    # Summaries of samples, observation and null test by name, and the grids that they are taken on
     summaries: Mapping[str, Summary]
     grids: Mapping[str, FloatArray]
+    # Numbers of the null test's mocks that have summaries, and how many failed
     null_id: IntArray
     n_null_failed: int
-    warnings: list[str]
+    warnings: list[str]  # of the smooth model, and of failed samples
 
     @property
     def parameters(self) -> FloatArray:
