@@ -163,7 +163,7 @@ def test_the_posterior_is_the_same(simulations: Simulations) -> None:
     table = simulations.table()
     distances = table.distances()
     found = accept(distances, "correlation", FRACTION, table.sample_id, np.random.default_rng(0))
-    bounds = lower_bounds(table.m_kev, found, distances, table.sample_id, PRIOR, np.random.default_rng(1))
+    bounds = lower_bounds(table, found, distances, np.random.default_rng(1))
     for name, level in LEVELS.items():
         value = np.quantile(masses, level, method="inverted_cdf", weights=weights)
         assert bounds[name].value_kev == pytest.approx(value, rel=1e-12)

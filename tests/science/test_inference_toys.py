@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import kstest, truncnorm
 
 from warmlens.inference.acceptance import RULES, accept
-from warmlens.inference.bound import HEADLINE, LEVELS, lower_bounds, weighted_quantile
+from warmlens.inference.bound import HEADLINE, HEADLINE_INDEX, LEVELS, lower_bounds, weighted_quantile
 from warmlens.inference.calibration import LeaveOneOut, coverage, leave_one_out, rank_test
 from warmlens.inference.checks import cloud_check
 from warmlens.inference.convergence import threshold_convergence
@@ -20,7 +20,6 @@ from warmlens.inference.table import Table
 
 PRIOR, HALO = (1.0, 5.0), (13.0, 13.5)
 SIGMA, HALO_SIGMA = 0.6, 0.1
-HEAD = list(LEVELS).index(HEADLINE)
 Noise = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
@@ -119,7 +118,7 @@ def calibrated(trials: LeaveOneOut, adjusted: bool = False) -> bool:
     pit = trials.adjusted_pit if adjusted else trials.pit
     assert bounds is not None
     assert pit is not None
-    covered = coverage(bounds[:, HEAD], trials.truth[:, 0], LEVELS[HEADLINE])
+    covered = coverage(bounds[:, HEADLINE_INDEX], trials.truth[:, 0], LEVELS[HEADLINE])
     return covered.nominal_inside and rank_test(pit[:, 0], np.random.default_rng(0)).ks_p > 0.01
 
 
@@ -159,8 +158,8 @@ def test_wrong_twins_of_leave_one_out_are_found() -> None:
     five = leave_one_out(table, "correlation", 0.0025, 800, np.random.default_rng(0))
     assert five.accepted.sum(axis=1).max() == left_in.accepted.sum(axis=1).max() == 5
     # the lowest of five: one more sample lies below it with probability 1/6, itself never
-    assert coverage(five.bounds[:, HEAD], five.truth[:, 0], 1 / 6).nominal_inside
-    assert not coverage(left_in.bounds[:, HEAD], left_in.truth[:, 0], 1 / 6).nominal_inside
+    assert coverage(five.bounds[:, HEADLINE_INDEX], five.truth[:, 0], 1 / 6).nominal_inside
+    assert not coverage(left_in.bounds[:, HEADLINE_INDEX], left_in.truth[:, 0], 1 / 6).nominal_inside
 
 
 def test_the_adjustment_helps_where_it_should_and_is_flagged_where_it_should_not() -> None:
@@ -179,9 +178,7 @@ def test_monte_carlo_error_is_the_scatter_over_independent_tables() -> None:
         distances = table.distances()
         rng = np.random.default_rng(seed)
         result = accept(distances, "max_rank", 0.1, table.sample_id, rng)
-        bound = lower_bounds(table.m_kev, result, distances, table.sample_id, PRIOR, rng, n_bootstrap=150)[
-            HEADLINE
-        ]
+        bound = lower_bounds(table, result, distances, rng, n_bootstrap=150)[HEADLINE]
         found.append((bound.value_kev, bound.mc_error_kev))
     values, errors = np.array(found).T
     assert 0.8 < errors.mean() / values.std(ddof=1) < 1.2
@@ -214,11 +211,9 @@ def test_learned_summaries_keep_the_calibration_honest(cross_fitted: bool) -> No
 
 
 def test_threshold_convergence_is_said_when_it_is_there() -> None:
-    levels = np.array(list(LEVELS.values()))
-
     def verdicts(table: Table, fraction: float, fractions: tuple[float, ...]) -> tuple[str, str]:
         found, counts = threshold_convergence(
-            table, "correlation", fraction, levels, HEAD, 200, np.random.default_rng(1), fractions
+            table, "correlation", fraction, 200, np.random.default_rng(1), fractions
         )
         assert counts.shape == (200, table.n)
         assert [step.k for step in found.steps] == [round(f * table.n) for f in sorted(fractions, reverse=True)]
