@@ -82,8 +82,8 @@ def test_finite_tolerance_gives_the_box_posterior():
     inside = [norm.cdf((3.2 + h - grid) / 0.5) - norm.cdf((3.2 - h - grid) / 0.5) for h in half_width]
     cdf = np.cumsum(inside[0] * inside[1])
     exact = np.interp(np.array(list(LEVELS.values())), cdf / cdf[-1], grid)
-    found = bounds_of(m, distances, 0.05, n_bootstrap=100)
-    for bound, value in zip(found.values(), exact, strict=True):
+    bounds = bounds_of(m, distances, 0.05, n_bootstrap=100)
+    for bound, value in zip(bounds.values(), exact, strict=True):
         assert abs(bound.value_kev - value) < 3.5 * bound.mc_error_kev
         assert bound.mc_error_kev < 0.03
         assert bound.warnings == ()
@@ -119,10 +119,10 @@ def test_bootstrap_is_that_of_explicit_tables():
     weights = rng.random(n)
     counts = bootstrap_counts(distances, "max_rank", [fraction, 0.1], 25, np.random.default_rng(15))
     assert (counts.sum(axis=2) == np.array([[18], [6]])).all()
-    found = quantiles_of_counts(m, counts[0], levels, weights)
+    quantiles = quantiles_of_counts(m, counts[0], levels, weights)
     rng = np.random.default_rng(15)
     times, keys = rng.multinomial(n, np.full(n, 1 / n), size=25), rng.random((25, n))
-    for row, count, key in zip(found, times, keys, strict=True):
+    for row, count, key in zip(quantiles, times, keys, strict=True):
         rows = np.repeat(np.arange(n), count)
         score = rankdata(distances[:, rows], method="max", axis=1).max(axis=0)
         taken = rows[np.lexsort((key[rows], score))[:18]]
@@ -148,7 +148,7 @@ def test_weights_change_the_prior():
     assert effective_sample_size(np.array([1.0, 1.0, 0.0, 0.0])) == 2.0
 
 
-def test_few_samples_are_said():
+def test_few_samples_give_a_warning():
     m, distances = gaussian_table(100, seed=19)
     bound = bounds_of(m, distances, 0.1)["q0455"]
     assert any("only 10 samples" in text for text in bound.warnings)

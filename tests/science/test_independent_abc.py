@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from warmlens.inference.acceptance import accept
-from warmlens.inference.adjustment import RIDGE, SAMPLES_A_COMPONENT, adjust
+from warmlens.inference.adjustment import RIDGE, SAMPLES_PER_COMPONENT, adjust
 from warmlens.inference.bound import LEVELS, lower_bounds
 from warmlens.inference.distance import integral_features
 from warmlens.inference.table import Table
@@ -196,7 +196,7 @@ def test_the_regression_adjustment_is_that_of_scikit_learn(simulations: Simulati
 
     near, observed = table.stacked()[accepted], np.concatenate(table.observed)
     scale = 1.4826 * np.median(np.abs(near - np.median(near, axis=0)), axis=0)
-    axes = decomposition.PCA(len(near) // SAMPLES_A_COMPONENT, whiten=True).fit(near / scale)
+    axes = decomposition.PCA(len(near) // SAMPLES_PER_COMPONENT, whiten=True).fit(near / scale)
     x, x_observed = axes.transform(near / scale), axes.transform((observed / scale)[None])
     distance = trapezoid_sum("correlation")
     near_curves = simulations.curves["correlation"][accepted]
