@@ -31,10 +31,8 @@ class LeaveOneOut:
 
     Attributes
     ----------
-    rows
-        Rows of the table that played the observation [n_rows].
-    truth
-        Their parameters [n_rows, 2].
+    rows, truth
+        Rows of the table that played the observation [n_rows], and their parameters [n_rows, 2].
     accepted
         Accepted samples for each [n_rows, n]; never the row itself.
     pit
@@ -238,10 +236,8 @@ class ExpectedLimit:
 
     Attributes
     ----------
-    n
-        Truths above `CDM_LIKE_KEV`.
-    quantiles_kev
-        5, 16, 50, 84 and 95% quantiles of their bounds [keV].
+    n, quantiles_kev
+        Number of truths above `CDM_LIKE_KEV`; 5, 16, 50, 84 and 95% quantiles of their bounds [keV].
     median_error_kev
         Standard deviation of the median over bootstrapped truths [keV].
     observed_percentile

@@ -74,12 +74,7 @@ def threshold_convergence(
     rule, fraction
         Those of the inference; its fraction joins `fractions`.
 
-    Returns
-    -------
-    convergence
-        Steps and verdicts.
-    counts
-        Counts of the bootstrapped tables at `fraction` [n_bootstrap, n].
+    Returns the convergence, and the counts of the bootstrapped tables at `fraction` [n_bootstrap, n].
     """
     distances, headline = table.distances(), LEVEL_VALUES[[HEADLINE_INDEX]]
     used = sorted({*fractions, fraction}, reverse=True)

@@ -51,10 +51,8 @@ class LikelihoodRatio:
         Grid from edge to edge of the prior [keV] and B on it, each [n_grid].
     replicates
         B of the bootstrapped tables [n_bootstrap, n_grid].
-    bandwidth_kev
-        Standard deviation of the kernel [keV].
-    k
-        Number of accepted samples.
+    bandwidth_kev, k
+        Standard deviation of the kernel [keV], and number of accepted samples.
     """
 
     m_kev: FloatArray
