@@ -28,7 +28,6 @@ from warmlens.sampling import stream
 from warmlens.types import FloatArray
 
 PRIOR, HALO = (1.0, 5.0), (13.0, 13.5)
-LEVELS = np.array([0.05, 0.0455, 0.02275])
 GRIDS = {"correlation": np.linspace(0.0, 2.5, 51), "cumulative": np.linspace(-40.0, -4.0, 73)}
 
 
@@ -85,7 +84,7 @@ def main() -> None:
     table = table_of(parameters, known, SETS["paper"])
     seconds = {}
     start = time.perf_counter()
-    threshold_convergence(table, "max_rank", 0.05, LEVELS, 1, arguments.bootstrap, np.random.default_rng(0))
+    threshold_convergence(table, "max_rank", 0.05, arguments.bootstrap, np.random.default_rng(0))
     seconds["bootstrap at all thresholds, raw and adjusted"] = time.perf_counter() - start
     start = time.perf_counter()
     leave_one_out(table, "max_rank", 0.05, arguments.rows, np.random.default_rng(0), with_adjustment=True)

@@ -6,7 +6,6 @@ import pytest
 from warmlens.inference.acceptance import (
     RULES,
     accept,
-    accept_max_rank,
     max_rank,
     number_accepted,
     reduce_distances,
@@ -24,7 +23,7 @@ def test_accepted_rows_pass_both_cuts_at_the_implied_quantile():
     n = 2483
     distances = rng.exponential(size=(2, n))
     distances[1] += distances[0]
-    result = accept_max_rank(distances, 0.05, np.arange(n), rng)
+    result = accept(distances, "max_rank", 0.05, np.arange(n), rng)
     assert (result.k, result.n) == (124, n)
     cuts = np.sort(distances, axis=1)[:, round(result.implied_quantile * n) - 1]
     inside = (distances <= cuts[:, None]).all(axis=0)
@@ -38,7 +37,7 @@ def test_accepted_rows_pass_both_cuts_at_the_implied_quantile():
 def test_one_distance_alone_is_a_plain_cut():
     rng = np.random.default_rng(2)
     distances = rng.random((1, 200))
-    result = accept_max_rank(distances, 0.1, np.arange(200), rng)
+    result = accept(distances, "max_rank", 0.1, np.arange(200), rng)
     np.testing.assert_array_equal(np.flatnonzero(result.accepted), np.sort(np.argsort(distances[0])[:20]))
     assert result.n_tied == 0
     assert result.implied_quantile == pytest.approx(0.1)
@@ -47,9 +46,9 @@ def test_one_distance_alone_is_a_plain_cut():
 def test_ties_are_broken_by_the_key_and_reported():
     distances = np.zeros((2, 100))
     distances[:, :10] = -1.0  # ten clear winners, ninety tied rows for the other ten places
-    first = accept_max_rank(distances, 0.2, np.arange(100), np.random.default_rng(3))
-    again = accept_max_rank(distances, 0.2, np.arange(100), np.random.default_rng(3))
-    other = accept_max_rank(distances, 0.2, np.arange(100), np.random.default_rng(4))
+    first = accept(distances, "max_rank", 0.2, np.arange(100), np.random.default_rng(3))
+    again = accept(distances, "max_rank", 0.2, np.arange(100), np.random.default_rng(3))
+    other = accept(distances, "max_rank", 0.2, np.arange(100), np.random.default_rng(4))
     assert first.accepted[:10].all()
     assert (first.k, first.n_tied, first.implied_quantile) == (20, 90, 1.0)
     np.testing.assert_array_equal(first.accepted, again.accepted)
@@ -59,7 +58,7 @@ def test_ties_are_broken_by_the_key_and_reported():
 def test_tied_rows_all_have_the_same_chance():
     distances = np.zeros((2, 50))
     accepted = sum(
-        accept_max_rank(distances, 0.1, np.arange(50), np.random.default_rng(seed)).accepted.astype(int)
+        accept(distances, "max_rank", 0.1, np.arange(50), np.random.default_rng(seed)).accepted.astype(int)
         for seed in range(600)
     )
     # 5 of 50 in 600 draws: 60 +- 7.3 for each row
@@ -73,8 +72,8 @@ def test_order_of_the_rows_has_no_say():
     distances = rng.integers(0, 8, (2, n)).astype(float)  # many ties
     sample_id = rng.permutation(10 * n)[:n]
     shuffle = rng.permutation(n)
-    straight = accept_max_rank(distances, 0.1, sample_id, np.random.default_rng(6))
-    shuffled = accept_max_rank(distances[:, shuffle], 0.1, sample_id[shuffle], np.random.default_rng(6))
+    straight = accept(distances, "max_rank", 0.1, sample_id, np.random.default_rng(6))
+    shuffled = accept(distances[:, shuffle], "max_rank", 0.1, sample_id[shuffle], np.random.default_rng(6))
     assert straight.n_tied > 0
     np.testing.assert_array_equal(straight.accepted[shuffle], shuffled.accepted)
     assert (straight.n_tied, straight.implied_quantile) == (shuffled.n_tied, shuffled.implied_quantile)
@@ -82,7 +81,7 @@ def test_order_of_the_rows_has_no_say():
 
 def test_too_few_samples_are_refused_with_n_and_fraction():
     with pytest.raises(ValueError, match=r"fraction 0.05 of n = 20 samples accepts 1"):
-        accept_max_rank(np.zeros((2, 20)), 0.05, np.arange(20), np.random.default_rng(0))
+        accept(np.zeros((2, 20)), "max_rank", 0.05, np.arange(20), np.random.default_rng(0))
     assert number_accepted(2483, 0.05) == 124
     with pytest.raises(ValueError, match=r"\(0, 1\]"):
         number_accepted(100, 1.5)
@@ -91,9 +90,9 @@ def test_too_few_samples_are_refused_with_n_and_fraction():
 def test_bad_input_is_refused():
     rng = np.random.default_rng(0)
     with pytest.raises(ValueError, match="1 of 50 rows"):
-        accept_max_rank(np.where(np.arange(50) == 3, np.nan, 1.0)[None], 0.1, np.arange(50), rng)
+        accept(np.where(np.arange(50) == 3, np.nan, 1.0)[None], "max_rank", 0.1, np.arange(50), rng)
     with pytest.raises(ValueError, match="sample_id 7"):
-        accept_max_rank(np.ones((2, 50)), 0.1, np.where(np.arange(50) == 3, 7, np.arange(50)), rng)
+        accept(np.ones((2, 50)), "max_rank", 0.1, np.where(np.arange(50) == 3, 7, np.arange(50)), rng)
     with pytest.raises(ValueError, match="n_kinds"):
         max_rank(np.ones(5))
 

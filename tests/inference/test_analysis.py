@@ -43,10 +43,10 @@ def test_a_good_table_gives_everything_and_the_same_again():
 
 
 def test_an_adjustment_is_not_valid_on_too_few_rows():
-    found = run(table(), n_rows=MIN_ROWS - 1)
-    assert found.adjusted_calibration is not None
-    assert not found.adjusted.valid
-    assert f"calibrated on {MIN_ROWS - 1} rows only" in " ".join(found.warnings)
+    analysis = run(table(), n_rows=MIN_ROWS - 1)
+    assert analysis.adjusted_calibration is not None
+    assert not analysis.adjusted.valid
+    assert f"calibrated on {MIN_ROWS - 1} rows only" in " ".join(analysis.warnings)
 
 
 def test_a_miscalibrated_posterior_says_so():
@@ -57,19 +57,19 @@ def test_a_miscalibrated_posterior_says_so():
         features=(np.abs(samples.features[0] - 2.0), samples.features[1]),
         observed=(np.array([1.5]), samples.observed[1]),
     )
-    found = run(folded, fraction=0.3)
-    assert not found.calibration.passed
-    text = " ".join(found.warnings)
+    analysis = run(folded, fraction=0.3)
+    assert not analysis.calibration.passed
+    text = " ".join(analysis.warnings)
     assert "the truth lies above it too often" in text
     assert "ranks of m_th_kev are not uniform" in text
 
 
-def test_one_parameter_constant_is_said():
+def test_a_constant_parameter_gives_a_warning():
     samples = table()
     constant = dataclasses.replace(samples, log10_mass=np.full(samples.n, 13.25))
-    found = run(constant)
-    assert "all samples have the halo mass 10^13.25 Msun: nothing is marginalised" in found.warnings
-    assert isinstance(found.other_priors["flat_13_13.5"].value_kev, float)
+    analysis = run(constant)
+    assert "all samples have the halo mass 10^13.25 Msun: nothing is marginalised" in analysis.warnings
+    assert isinstance(analysis.other_priors["flat_13_13.5"].value_kev, float)
     outside = dataclasses.replace(constant, log10_mass_range=(12.0, 13.5), log10_mass=np.full(samples.n, 12.5))
     refused = run(outside).other_priors["flat_13_13.5"]
     assert isinstance(refused, str)

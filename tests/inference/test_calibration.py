@@ -48,8 +48,8 @@ def test_leave_one_out_is_the_procedure_on_the_table_without_the_row():
         result = accept(distances, "max_rank", 0.3, rest, np.random.default_rng(7))
         if result.n_tied == 0:
             np.testing.assert_array_equal(np.flatnonzero(trials.accepted[i]), rest[result.accepted])
-            found = weighted_quantile(samples.m_kev[rest[result.accepted]], np.ones(result.k), LEVEL)
-            np.testing.assert_array_equal(trials.bounds[i], found)
+            quantiles = weighted_quantile(samples.m_kev[rest[result.accepted]], np.ones(result.k), LEVEL)
+            np.testing.assert_array_equal(trials.bounds[i], quantiles)
             below = (samples.m_kev[rest[result.accepted]] < samples.m_kev[row]).sum()
             assert 0.0 <= trials.pit[i, 0] * (result.k + 1) - below <= 1.0
     np.testing.assert_array_equal(trials.truth, samples.parameters[trials.rows])
@@ -80,9 +80,9 @@ def test_clopper_pearson_is_its_definition():
 
 def test_coverage_counts_truths_above_the_bound():
     truth = np.array([1.5, 1.9, 2.5, 4.0, 4.5])
-    found = coverage(np.array([1.0, 2.0, 2.5, 4.5, np.nan]), truth, 0.05)
-    assert (found.n, found.n_covered, found.fraction) == (4, 2, 0.5)
-    assert not found.nominal_inside
+    covered = coverage(np.array([1.0, 2.0, 2.5, 4.5, np.nan]), truth, 0.05)
+    assert (covered.n, covered.n_covered, covered.fraction) == (4, 2, 0.5)
+    assert not covered.nominal_inside
     by_mass = coverage_by_mass(np.ones(5), truth, 0.05)
     assert [by_mass[name].n for name in by_mass] == [2, 1, 2]
 
@@ -98,10 +98,10 @@ def test_rank_test_knows_uniform_from_not():
 
 def test_expected_limit_is_that_of_cdm_like_truths():
     truth = np.linspace(1.0, 5.0, 401)
-    found = expected_limit(truth - 1.0, truth, 3.75, np.random.default_rng(3))
-    assert found.n == 50
-    assert found.quantiles_kev[2] == pytest.approx(3.755)
-    assert found.observed_percentile == pytest.approx(50.0, abs=2.0)
+    limit = expected_limit(truth - 1.0, truth, 3.75, np.random.default_rng(3))
+    assert limit.n == 50
+    assert limit.quantiles_kev[2] == pytest.approx(3.755)
+    assert limit.observed_percentile == pytest.approx(50.0, abs=2.0)
     assert expected_limit(truth[:20], truth[:20], 1.0, np.random.default_rng(3)) is None
 
 
@@ -151,11 +151,12 @@ def test_bootstrapped_adjustment_is_that_of_each_table():
     observed = np.concatenate(samples.observed)
     accepted = accept(distances, "max_rank", 0.3, samples.sample_id, np.random.default_rng(0)).accepted
     scores = local_scores(features, features[accepted], observed)
-    found = adjusted_quantiles_of_counts(
+    quantiles = adjusted_quantiles_of_counts(
         samples.m_kev, (1.0, 5.0), scores, distances, accepted[None].astype(np.uint16), LEVEL
     )
     moved = adjust(samples.parameters, samples.ranges, features, observed, distances, accepted)
-    np.testing.assert_allclose(found[0], weighted_quantile(moved.values[:, 0], moved.weights, LEVEL), rtol=1e-9)
+    expected = weighted_quantile(moved.values[:, 0], moved.weights, LEVEL)
+    np.testing.assert_allclose(quantiles[0], expected, rtol=1e-9)
     counts = bootstrap_counts(distances, "max_rank", [0.3], 50, np.random.default_rng(1))[0]
     spread = adjusted_quantiles_of_counts(samples.m_kev, (1.0, 5.0), scores, distances, counts, LEVEL)
     assert spread.shape == (50, 3)
@@ -173,9 +174,9 @@ def test_summaries_that_are_all_alike_are_named():
         (np.zeros((samples.n, 4)), samples.features[1]),
         (np.zeros(4), samples.observed[1]),
     )
-    found = cloud_check(dead)
-    assert found.warnings == ("all samples have the same distance in correlation: it tells nothing about them",)
-    assert found.percentile["correlation"] == 50.0
+    check = cloud_check(dead)
+    assert check.warnings == ("all samples have the same distance in correlation: it tells nothing about them",)
+    assert check.percentile["correlation"] == 50.0
 
 
 def test_posterior_predictive():

@@ -22,16 +22,16 @@ def thinned(likelihood, n, seed):
 def test_a_known_likelihood_is_found_to_the_edges(likelihood):
     m, accepted = thinned(likelihood, 200_000, 1)
     counts = np.random.default_rng(2).poisson(accepted, (100, m.size)).astype(np.uint16)
-    found = likelihood_ratio(m, accepted, counts, PRIOR)
-    exact = likelihood(found.m_kev) / likelihood(np.array(5.0))
-    np.testing.assert_allclose(found.ratio, exact, rtol=0.1, atol=0.02)
+    estimate = likelihood_ratio(m, accepted, counts, PRIOR)
+    exact = likelihood(estimate.m_kev) / likelihood(np.array(5.0))
+    np.testing.assert_allclose(estimate.ratio, exact, rtol=0.1, atol=0.02)
     for ratio in (0.1, 0.05):
         if exact[0] > ratio:
             continue
-        true = np.interp(ratio, exact, found.m_kev)
-        assert found.falls_to(ratio).m_kev == pytest.approx(true, abs=0.12)
+        true = np.interp(ratio, exact, estimate.m_kev)
+        assert estimate.falls_to(ratio).m_kev == pytest.approx(true, abs=0.12)
     # the naive kernel halves at the edges: the correction is what brings B(1) and B(5) back
-    naive = BoundaryKernels(found.m_kev, m[accepted], found.bandwidth_kev, (-100.0, 100.0))
+    naive = BoundaryKernels(estimate.m_kev, m[accepted], estimate.bandwidth_kev, (-100.0, 100.0))
     assert (
         naive.density(np.ones((1, int(accepted.sum()))))[0, -1] < 0.6 * likelihood(5.0) / likelihood(m).mean() / 4
     )
@@ -47,12 +47,12 @@ def test_band_is_the_scatter_over_tables():
         accepted[np.argsort(distances.max(axis=0))[:200]] = True
         return likelihood_ratio(m, accepted, counts, PRIOR)
 
-    found = [one(seed) for seed in range(60)]
-    at = np.argmin(np.abs(found[0].m_kev - 3.0))
-    scatter = np.std([np.log(ratio.ratio[at]) for ratio in found], ddof=1)
-    claimed = np.sqrt(np.mean([np.log(ratio.replicates[:, at]).std() ** 2 for ratio in found]))
+    estimates = [one(seed) for seed in range(60)]
+    at = np.argmin(np.abs(estimates[0].m_kev - 3.0))
+    scatter = np.std([np.log(ratio.ratio[at]) for ratio in estimates], ddof=1)
+    claimed = np.sqrt(np.mean([np.log(ratio.replicates[:, at]).std() ** 2 for ratio in estimates]))
     assert 0.7 < claimed / scatter < 1.4
-    width = np.ptp(found[0].band(), axis=0)
+    width = np.ptp(estimates[0].band(), axis=0)
     assert width[-1] == 0.0
     assert width[at] > 0.0
 
@@ -68,10 +68,10 @@ def test_crossing_by_hand():
 def test_no_data_never_crosses_and_says_so():
     m, accepted = thinned(lambda m: np.full(m.size, 0.2), 2000, 3)
     counts = np.random.default_rng(4).poisson(accepted, (200, m.size)).astype(np.uint16)
-    found = likelihood_ratio(m, accepted, counts, PRIOR).falls_to(0.1)
-    assert found.m_kev is None
-    assert found.fraction_reaching < 0.05
-    assert "does not fall to 0.1" in found.warnings[0]
+    estimate = likelihood_ratio(m, accepted, counts, PRIOR).falls_to(0.1)
+    assert estimate.m_kev is None
+    assert estimate.fraction_reaching < 0.05
+    assert "does not fall to 0.1" in estimate.warnings[0]
 
 
 def test_a_crossing_on_hardly_any_samples_says_so():
@@ -79,9 +79,9 @@ def test_a_crossing_on_hardly_any_samples_says_so():
     accepted = np.zeros(1000, dtype=bool)
     accepted[600::20] = True
     counts = np.random.default_rng(5).poisson(accepted, (100, 1000)).astype(np.uint16)
-    found = likelihood_ratio(m, accepted, counts, PRIOR).falls_to(0.05)
-    assert found.m_kev < 3.4
-    assert any("rests on" in text for text in found.warnings)
+    estimate = likelihood_ratio(m, accepted, counts, PRIOR).falls_to(0.05)
+    assert estimate.m_kev < 3.4
+    assert any("rests on" in text for text in estimate.warnings)
 
 
 def test_bandwidth_is_that_of_a_normal():
@@ -93,6 +93,6 @@ def test_bandwidth_is_that_of_a_normal():
 def test_chance_excesses_of_the_table_cancel():
     m = np.random.default_rng(7).beta(2.0, 2.0, 300) * 4.0 + 1.0  # not uniform at all
     everything = np.ones(300, dtype=bool)
-    found = likelihood_ratio(m, everything, np.ones((2, 300), dtype=np.uint16), PRIOR)
-    np.testing.assert_allclose(found.ratio, 1.0, rtol=1e-12)
-    np.testing.assert_allclose(found.replicates, 1.0, rtol=1e-12)
+    estimate = likelihood_ratio(m, everything, np.ones((2, 300), dtype=np.uint16), PRIOR)
+    np.testing.assert_allclose(estimate.ratio, 1.0, rtol=1e-12)
+    np.testing.assert_allclose(estimate.replicates, 1.0, rtol=1e-12)

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from warmlens.inference.acceptance import accept
-from warmlens.inference.adjustment import RIDGE, SAMPLES_A_COMPONENT, adjust
+from warmlens.inference.adjustment import RIDGE, SAMPLES_PER_COMPONENT, adjust
 from warmlens.inference.bound import LEVELS, lower_bounds
 from warmlens.inference.distance import integral_features
 from warmlens.inference.table import Table
@@ -163,7 +163,7 @@ def test_the_posterior_is_the_same(simulations: Simulations) -> None:
     table = simulations.table()
     distances = table.distances()
     found = accept(distances, "correlation", FRACTION, table.sample_id, np.random.default_rng(0))
-    bounds = lower_bounds(table.m_kev, found, distances, table.sample_id, PRIOR, np.random.default_rng(1))
+    bounds = lower_bounds(table, found, distances, np.random.default_rng(1))
     for name, level in LEVELS.items():
         value = np.quantile(masses, level, method="inverted_cdf", weights=weights)
         assert bounds[name].value_kev == pytest.approx(value, rel=1e-12)
@@ -196,7 +196,7 @@ def test_the_regression_adjustment_is_that_of_scikit_learn(simulations: Simulati
 
     near, observed = table.stacked()[accepted], np.concatenate(table.observed)
     scale = 1.4826 * np.median(np.abs(near - np.median(near, axis=0)), axis=0)
-    axes = decomposition.PCA(len(near) // SAMPLES_A_COMPONENT, whiten=True).fit(near / scale)
+    axes = decomposition.PCA(len(near) // SAMPLES_PER_COMPONENT, whiten=True).fit(near / scale)
     x, x_observed = axes.transform(near / scale), axes.transform((observed / scale)[None])
     distance = trapezoid_sum("correlation")
     near_curves = simulations.curves["correlation"][accepted]

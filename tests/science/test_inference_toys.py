@@ -10,7 +10,7 @@ import pytest
 from scipy.stats import kstest, truncnorm
 
 from warmlens.inference.acceptance import RULES, accept
-from warmlens.inference.bound import HEADLINE, LEVELS, lower_bounds, weighted_quantile
+from warmlens.inference.bound import HEADLINE, HEADLINE_INDEX, LEVELS, lower_bounds, weighted_quantile
 from warmlens.inference.calibration import LeaveOneOut, coverage, leave_one_out, rank_test
 from warmlens.inference.checks import cloud_check
 from warmlens.inference.convergence import threshold_convergence
@@ -20,7 +20,6 @@ from warmlens.inference.table import Table
 
 PRIOR, HALO = (1.0, 5.0), (13.0, 13.5)
 SIGMA, HALO_SIGMA = 0.6, 0.1
-HEAD = list(LEVELS).index(HEADLINE)
 Noise = Callable[[np.ndarray, np.random.Generator], np.ndarray]
 
 
@@ -83,10 +82,10 @@ def test_the_posterior_is_reached_as_the_threshold_falls(observed: float) -> Non
 
 @pytest.mark.parametrize("rule", RULES)
 def test_every_rule_that_looks_at_this_summary_finds_it(rule: str) -> None:
-    found = accepted_masses(toy(100_000, 2), 0.1 if rule == "marginal_and" else 0.01, rule)
-    statistic = kstest(found, posterior(3.4).cdf).statistic
+    masses = accepted_masses(toy(100_000, 2), 0.1 if rule == "marginal_and" else 0.01, rule)
+    statistic = kstest(masses, posterior(3.4).cdf).statistic
     if rule == "cumulative":  # that one tells of the halo mass alone
-        assert kstest(found, "uniform", args=(1.0, 4.0)).pvalue > 0.01
+        assert kstest(masses, "uniform", args=(1.0, 4.0)).pvalue > 0.01
         assert statistic > 0.2
     else:
         assert statistic < 0.06
@@ -119,7 +118,7 @@ def calibrated(trials: LeaveOneOut, adjusted: bool = False) -> bool:
     pit = trials.adjusted_pit if adjusted else trials.pit
     assert bounds is not None
     assert pit is not None
-    covered = coverage(bounds[:, HEAD], trials.truth[:, 0], LEVELS[HEADLINE])
+    covered = coverage(bounds[:, HEADLINE_INDEX], trials.truth[:, 0], LEVELS[HEADLINE])
     return covered.nominal_inside and rank_test(pit[:, 0], np.random.default_rng(0)).ks_p > 0.01
 
 
@@ -159,8 +158,8 @@ def test_wrong_twins_of_leave_one_out_are_found() -> None:
     five = leave_one_out(table, "correlation", 0.0025, 800, np.random.default_rng(0))
     assert five.accepted.sum(axis=1).max() == left_in.accepted.sum(axis=1).max() == 5
     # the lowest of five: one more sample lies below it with probability 1/6, itself never
-    assert coverage(five.bounds[:, HEAD], five.truth[:, 0], 1 / 6).nominal_inside
-    assert not coverage(left_in.bounds[:, HEAD], left_in.truth[:, 0], 1 / 6).nominal_inside
+    assert coverage(five.bounds[:, HEADLINE_INDEX], five.truth[:, 0], 1 / 6).nominal_inside
+    assert not coverage(left_in.bounds[:, HEADLINE_INDEX], left_in.truth[:, 0], 1 / 6).nominal_inside
 
 
 def test_the_adjustment_helps_where_it_should_and_is_flagged_where_it_should_not() -> None:
@@ -173,17 +172,15 @@ def test_the_adjustment_helps_where_it_should_and_is_flagged_where_it_should_not
 
 
 def test_monte_carlo_error_is_the_scatter_over_independent_tables() -> None:
-    found = []
+    bounds = []
     for seed in range(300):
         table = toy(1500, 1000 + seed)
         distances = table.distances()
         rng = np.random.default_rng(seed)
         result = accept(distances, "max_rank", 0.1, table.sample_id, rng)
-        bound = lower_bounds(table.m_kev, result, distances, table.sample_id, PRIOR, rng, n_bootstrap=150)[
-            HEADLINE
-        ]
-        found.append((bound.value_kev, bound.mc_error_kev))
-    values, errors = np.array(found).T
+        bound = lower_bounds(table, result, distances, rng, n_bootstrap=150)[HEADLINE]
+        bounds.append((bound.value_kev, bound.mc_error_kev))
+    values, errors = np.array(bounds).T
     assert 0.8 < errors.mean() / values.std(ddof=1) < 1.2
 
 
@@ -213,16 +210,15 @@ def test_learned_summaries_keep_the_calibration_honest(cross_fitted: bool) -> No
     assert (gain.gain_nats < best.gain_nats + 2.0 * best.gain_error_nats) == cross_fitted
 
 
-def test_threshold_convergence_is_said_when_it_is_there() -> None:
-    levels = np.array(list(LEVELS.values()))
-
+def test_threshold_convergence_is_reported_only_when_it_is_there() -> None:
     def verdicts(table: Table, fraction: float, fractions: tuple[float, ...]) -> tuple[str, str]:
-        found, counts = threshold_convergence(
-            table, "correlation", fraction, levels, HEAD, 200, np.random.default_rng(1), fractions
+        convergence, counts = threshold_convergence(
+            table, "correlation", fraction, 200, np.random.default_rng(1), fractions
         )
         assert counts.shape == (200, table.n)
-        assert [step.k for step in found.steps] == [round(f * table.n) for f in sorted(fractions, reverse=True)]
-        return found.raw, found.adjusted
+        descending = sorted(fractions, reverse=True)
+        assert [step.k for step in convergence.steps] == [round(f * table.n) for f in descending]
+        return convergence.raw, convergence.adjusted
 
     assert verdicts(toy(20_000, 8), 0.02, (0.04, 0.02, 0.01))[0] == "converged"
     assert verdicts(toy(20_000, 8), 0.6, (0.9, 0.6, 0.4, 0.2))[0] == "not converged"
@@ -251,10 +247,10 @@ def posterior_density(s: float) -> np.ndarray:
     return np.exp(-0.5 * ((s - m) / SIGMA) ** 2) / np.sqrt(2.0 * np.pi) / SIGMA
 
 
-def test_an_observation_outside_the_cloud_is_cried_out() -> None:
+def test_an_observation_outside_the_samples_gives_a_warning() -> None:
     table = toy(2000, 10)
     assert cloud_check(table).warnings == ()
     outside = dataclasses.replace(table, observed=(np.array([12.0]), table.observed[1]))
-    found = cloud_check(outside)
-    assert found.percentile["correlation"] > 99.0
-    assert "THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in correlation" in found.warnings[0]
+    check = cloud_check(outside)
+    assert check.percentile["correlation"] > 99.0
+    assert "THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in correlation" in check.warnings[0]

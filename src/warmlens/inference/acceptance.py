@@ -1,4 +1,4 @@
-"""Which samples of the table count as close to the observation: four rules.
+"""Rules that accept the samples of the table closest to the observation.
 
 max_rank
     The k = round(f n) samples with the smallest larger rank of the distances: the AND of a cut on each
@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
+import scipy  # scipy.stats takes 1 s to import; scipy loads it on first use
 
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -29,22 +29,20 @@ RULES = (*JOINT_RULES, *KINDS)
 
 @dataclass(frozen=True)
 class Acceptance:
-    """The accepted rows of a table of n samples.
+    """The accepted rows of a table of n samples, by one of the `RULES`.
 
     Attributes
     ----------
     accepted
         True for the accepted rows [n].
     max_rank
-        r_j, the larger of the ranks of row j among all distances of a kind (1 is closest) [n].
+        r_j, the largest rank of row j over the kinds of distance (1 is closest) [n].
     fraction
-        Fraction that was asked for.
+        Requested fraction.
     n_tied
-        Rows that share the score at the cut, when some of them are accepted and some are not; 0 otherwise.
+        Rows with the score at the cut, if only some of them are accepted; 0 otherwise.
     implied_quantile
         Common quantile of all distances below which the accepted rows lie: the largest accepted r_j / n.
-    rule
-        One of `RULES`.
     """
 
     accepted: BoolArray
@@ -52,16 +50,16 @@ class Acceptance:
     fraction: float
     n_tied: int
     implied_quantile: float
-    rule: str = "max_rank"
+    rule: str
 
     @property
     def n(self) -> int:
-        """Number of samples in the table."""
+        """Samples in the table."""
         return self.accepted.size
 
     @property
     def k(self) -> int:
-        """Number of accepted samples."""
+        """Accepted samples."""
         return int(self.accepted.sum())
 
 
@@ -70,37 +68,62 @@ def accept(
 ) -> Acceptance:
     """Accept rows by one of the `RULES`.
 
+    With max_rank this is the AND of one cut on each distance, at the one common quantile that lets the requested
+    fraction pass.
+
     Parameters
     ----------
     distances
-        Distance of each sample to the observation, [n_kinds, n]; the kinds in the order of `KINDS`.
-    rule
-        One of `RULES`.
+        Distance of each sample to the observation [n_kinds, n], the kinds in the order of `KINDS`.
     fraction
-        Fraction to accept; the paper's 0.05. With marginal_and it is that of each distance.
+        Fraction to accept; the paper's 0.05. With marginal_and it applies to each distance.
     sample_id
-        Identity of each row [n], all different, see `accept_max_rank`.
+        Identity of each row [n], all different. Each sample gets a random key that breaks ties, so that the
+        order of the rows does not matter.
     rng
-        Generator of the keys that break ties.
+        Generator of the keys.
+
+    Reference: Birrer+2017 sec. 5 ("reside in the best 5% of the sample"); docs/decisions.md.
     """
-    reduced = reduce_distances(distances, rule)
-    if rule == "marginal_and":
-        return _accept_marginal(reduced, fraction)
-    result = accept_max_rank(reduced, fraction, sample_id, rng)
-    return Acceptance(result.accepted, result.max_rank, fraction, result.n_tied, result.implied_quantile, rule)
+    cut_on = reduce_distances(distances, rule)
+    score = max_rank(cut_on)
+    n = score.size
+    k = number_accepted(n, fraction)
+    if rule == "marginal_and":  # every distance among the k smallest of its kind, ties included
+        below = cut_on <= np.partition(cut_on, k - 1, axis=1)[:, k - 1, None]
+        accepted: BoolArray = np.asarray(below.all(axis=0))
+        implied = int(score[accepted].max()) / n if accepted.any() else fraction
+        return Acceptance(accepted, score, fraction, int((below.sum(axis=1) - k).max()), implied, rule)
+    key = np.empty(n)
+    key[_order_by_id(sample_id, n)] = rng.random(n)
+    chosen = np.lexsort((key, score))[:k]
+    accepted = np.zeros(n, dtype=bool)
+    accepted[chosen] = True
+    cut = int(score[chosen[-1]])
+    at_cut = score == cut
+    n_tied = 0 if accepted[at_cut].all() else int(at_cut.sum())
+    return Acceptance(accepted, score, fraction, n_tied, cut / n, rule)
+
+
+def _order_by_id(sample_id: IntArray, n: int) -> IntArray:
+    """Return the rows in ascending order of their identity [n]; reject repeated ones."""
+    if sample_id.shape != (n,):
+        raise ValueError(f"sample_id has shape {sample_id.shape}, expected ({n},)")
+    order = np.argsort(sample_id, kind="stable")
+    repeated = np.flatnonzero(np.diff(sample_id[order]) == 0)
+    if repeated.size:
+        raise ValueError(f"sample_id {sample_id[order][repeated[0]]} stands for more than one row")
+    return order
 
 
 def reduce_distances(distances: FloatArray, rule: str) -> FloatArray:
-    """The distances that `rule` cuts on [n_cut, n]: all, one alone, or their scaled sum.
+    """Return the distances that `rule` cuts on [n_cut, n]: all, one alone, or their scaled sum.
 
     Raises
     ------
     ValueError
-        For an unknown rule, or for scaled_sum if more than half of the samples share a distance: its scale is
-        then 0.
+        For an unknown rule, or for scaled_sum if more than half of the samples share a distance (scale 0).
     """
-    if distances.ndim != 2 or distances.shape[0] < 1:
-        raise ValueError(f"distances must be [n_kinds, n], got shape {distances.shape}")
     if rule in ("max_rank", "marginal_and"):
         return distances
     if rule in KINDS:
@@ -109,7 +132,7 @@ def reduce_distances(distances: FloatArray, rule: str) -> FloatArray:
         return distances[KINDS.index(rule)][None]
     if rule != "scaled_sum":
         raise ValueError(f"unknown rule {rule!r}; abc.acceptance is one of {', '.join(RULES)}")
-    _refuse_infinite(distances)
+    _check_distances(distances)
     scale = np.asarray(scipy.stats.median_abs_deviation(distances, axis=1))
     if not (scale > 0.0).all():
         raise ValueError(
@@ -119,19 +142,9 @@ def reduce_distances(distances: FloatArray, rule: str) -> FloatArray:
     return (distances / scale[:, None]).sum(axis=0, keepdims=True)
 
 
-def _accept_marginal(distances: FloatArray, fraction: float) -> Acceptance:
-    """Rows of which every distance is among the k smallest of its kind, ties included."""
-    score = max_rank(distances)
-    k = number_accepted(score.size, fraction)
-    cut = np.partition(distances, k - 1, axis=1)[:, k - 1, None]  # the k-th smallest
-    below = distances <= cut
-    accepted: BoolArray = np.asarray(below.all(axis=0))
-    n_tied = int((below.sum(axis=1) - k).max())
-    implied = int(score[accepted].max()) / score.size if accepted.any() else fraction
-    return Acceptance(accepted, score, fraction, n_tied, implied, "marginal_and")
-
-
-def _refuse_infinite(distances: FloatArray) -> None:
+def _check_distances(distances: FloatArray) -> None:
+    if distances.ndim != 2 or distances.shape[0] < 1:
+        raise ValueError(f"distances must be [n_kinds, n], got shape {distances.shape}")
     if not np.isfinite(distances).all():
         raise ValueError(
             f"{int((~np.isfinite(distances).all(axis=0)).sum())} of {distances.shape[1]} rows have a "
@@ -140,12 +153,12 @@ def _refuse_infinite(distances: FloatArray) -> None:
 
 
 def number_accepted(n: int, fraction: float) -> int:
-    """k = round(fraction * n), refused below 2.
+    """Return k = round(fraction * n).
 
     Raises
     ------
     ValueError
-        Naming n and the fraction, when it is not in (0, 1] or leaves fewer than 2 samples.
+        If the fraction is not in (0, 1] or accepts fewer than 2 samples.
     """
     if not 0.0 < fraction <= 1.0:
         raise ValueError(f"the accepted fraction must lie in (0, 1], got {fraction!r}")
@@ -159,67 +172,11 @@ def number_accepted(n: int, fraction: float) -> int:
 
 
 def max_rank(distances: FloatArray) -> IntArray:
-    """r_j = max over the kinds of distance of the rank of row j.
+    """Return r_j, the largest rank of row j over the kinds of distance [n], from 1 to n.
 
-    Parameters
-    ----------
-    distances
-        [n_kinds, n], finite. The rank of a row is the number of rows that are as close or closer.
-
-    Returns
-    -------
-    r
-        [n], from 1 to n.
+    The rank of a row is the number of rows that are as close or closer; distances [n_kinds, n] must be finite.
 
     Reference: docs/decisions.md, "best 5%".
     """
-    if distances.ndim != 2 or distances.shape[0] < 1:
-        raise ValueError(f"distances must be [n_kinds, n], got shape {distances.shape}")
-    _refuse_infinite(distances)
+    _check_distances(distances)
     return scipy.stats.rankdata(distances, method="max", axis=1).astype(np.int64).max(axis=0)
-
-
-def accept_max_rank(
-    distances: FloatArray, fraction: float, sample_id: IntArray, rng: np.random.Generator
-) -> Acceptance:
-    """Accept the k = round(fraction * n) rows with the smallest max-rank.
-
-    This is the AND of one cut on each distance, at the one common quantile that lets the asked fraction pass.
-
-    Parameters
-    ----------
-    distances
-        Distance of each sample to the observation, [n_kinds, n].
-    fraction
-        Fraction to accept; the paper's 0.05.
-    sample_id
-        Identity of each row [n], all different. Ties are broken by a random key that belongs to the sample,
-        so that the order of the rows has no say.
-    rng
-        Generator of the keys.
-
-    Reference: Birrer+2017 sec. 5 ("reside in the best 5% of the sample"); docs/decisions.md.
-    """
-    score = max_rank(distances)
-    n = score.size
-    k = number_accepted(n, fraction)
-    key = np.empty(n)
-    key[order_by_id(sample_id, n)] = rng.random(n)
-    chosen = np.lexsort((key, score))[:k]
-    accepted = np.zeros(n, dtype=bool)
-    accepted[chosen] = True
-    cut = int(score[chosen[-1]])
-    at_cut = score == cut
-    n_tied = 0 if accepted[at_cut].all() else int(at_cut.sum())
-    return Acceptance(accepted, score, fraction, n_tied, cut / n)
-
-
-def order_by_id(sample_id: IntArray, n: int) -> IntArray:
-    """Rows in ascending order of their identity [n]; refuses repeated ones."""
-    if sample_id.shape != (n,):
-        raise ValueError(f"sample_id has shape {sample_id.shape}, expected ({n},)")
-    order = np.argsort(sample_id, kind="stable")
-    repeated = np.flatnonzero(np.diff(sample_id[order]) == 0)
-    if repeated.size:
-        raise ValueError(f"sample_id {sample_id[order][repeated[0]]} stands for more than one row")
-    return order

@@ -1,16 +1,25 @@
-"""All of the inference on one table: bound, companions, calibration, checks; each with its error and warnings."""
+"""The whole inference on one table: bounds, likelihood ratio, calibration and checks, with errors and warnings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from warmlens.inference.acceptance import JOINT_RULES, Acceptance, accept, order_by_id, reduce_distances
+from warmlens.inference.acceptance import JOINT_RULES, Acceptance, accept, reduce_distances
 from warmlens.inference.adjustment import adjust
 from warmlens.inference.bootstrap import Counts
-from warmlens.inference.bound import HEADLINE, LEVELS, Bound, TooFewError, lower_bounds, weighted_quantile
+from warmlens.inference.bound import (
+    HEADLINE,
+    HEADLINE_INDEX,
+    LEVEL_VALUES,
+    LEVELS,
+    Bound,
+    TooFewError,
+    lower_bounds,
+    weighted_quantile,
+)
 from warmlens.inference.calibration import (
     MIN_KS_P,
     MIN_ROWS,
@@ -32,7 +41,6 @@ from warmlens.inference.priors import reweightings
 from warmlens.inference.table import Table
 from warmlens.types import FloatArray
 
-HEAD = list(LEVELS).index(HEADLINE)
 MIN_TABLE = 100
 Streams = Callable[[str], np.random.Generator]
 
@@ -46,11 +54,11 @@ class Calibration:
     overall
         Coverage at every level of `LEVELS`.
     by_mass
-        Coverage of the headline by the true mass.
+        Coverage of the headline in bins of the true mass.
     ranks
-        Of m_kev and of log10_mass.
+        Rank tests of the parameters m_th_kev and log10_m_halo_msun.
     passed
-        Nominal coverage of the headline within its interval, and flat ranks of m_kev.
+        Whether the headline's coverage agrees with the nominal one and the ranks of m_th_kev are uniform.
     """
 
     overall: dict[str, Coverage]
@@ -67,12 +75,10 @@ class Adjusted:
     ----------
     bounds_kev, mc_errors_kev
         At every level of `LEVELS` [keV].
-    values, weights
-        Adjusted parameters [k, 2] and weights [k] of the accepted samples.
-    n_components
-        Components of the summaries that it was regressed on.
+    values, weights, n_components
+        As in `adjustment.Adjustment`, of the parameters [k, 2].
     valid
-        Whether its own calibration passed on at least `MIN_ROWS` rows; not to be quoted otherwise.
+        Whether its own calibration passed on at least `MIN_ROWS` rows; otherwise it must not be quoted.
     """
 
     bounds_kev: dict[str, float]
@@ -85,18 +91,20 @@ class Adjusted:
 
 @dataclass(frozen=True)
 class Analysis:
-    """What one table says; attributes are results of the modules beside this one.
+    """The results of all modules of this package for one table.
 
     Attributes
     ----------
+    distances
+        Of the samples to the observation [n_kinds, n].
+    counts
+        Of the bootstrapped tables [n_bootstrap, n].
     other_rules, other_priors
-        The headline under the other rules and priors; the text of the refusal where there is none.
-    n_rows
-        Rows that played the observation.
+        The headline bound under the other rules and priors, or the message of the error.
     adjusted, adjusted_calibration
-        None, and the reason in `no_adjustment`, if too few samples are accepted.
+        None, with the reason in `no_adjustment`, if too few samples are accepted.
     warnings
-        All that a reader of the headline has to know, loudest first.
+        What a reader must know before quoting the headline, most serious first.
     """
 
     acceptance: Acceptance
@@ -116,27 +124,23 @@ class Analysis:
     adjusted: Adjusted | None
     adjusted_calibration: Calibration | None
     no_adjustment: str
-    warnings: tuple[str, ...] = field(default=())
+    warnings: tuple[str, ...] = ()
 
     @property
     def n_rows(self) -> int:
-        """Rows of the table that played the observation."""
+        """Rows of the table that played the observation in the calibration."""
         return self.trials.rows.size
 
 
 def analyse(table: Table, rule: str, fraction: float, n_bootstrap: int, n_rows: int, streams: Streams) -> Analysis:
-    """Run everything.
+    """Run the whole inference.
 
     Parameters
     ----------
-    table
-        Samples, summaries, observation.
     rule, fraction
         Of the acceptance.
-    n_bootstrap
-        Bootstrapped tables.
-    n_rows
-        Rows for leave-one-out.
+    n_bootstrap, n_rows
+        Numbers of bootstrapped tables and of rows for leave-one-out.
     streams
         A generator for each name.
 
@@ -147,13 +151,10 @@ def analyse(table: Table, rule: str, fraction: float, n_bootstrap: int, n_rows: 
     """
     distances = table.distances()
     accepted = accept(distances, rule, fraction, table.sample_id, streams("ties"))
-    if rule == "marginal_and":  # refuses before anything else is done
-        _bounds(table, accepted, distances, streams("refusal"), 2)
-    levels = np.array(list(LEVELS.values()))
-    convergence, counts = threshold_convergence(
-        table, rule, fraction, levels, HEAD, n_bootstrap, streams("bootstrap")
-    )
-    bounds = _bounds(table, accepted, distances, streams("bounds"), n_bootstrap, counts)
+    if rule == "marginal_and":  # raises TooFewError before the long computations
+        lower_bounds(table, accepted, distances, streams("refusal"), n_bootstrap=2)
+    convergence, counts = threshold_convergence(table, rule, fraction, n_bootstrap, streams("bootstrap"))
+    bounds = lower_bounds(table, accepted, distances, streams("bounds"), counts=counts)
     likelihood = likelihood_ratio(table.m_kev, accepted.accepted, counts, table.m_range_kev)
     trials = leave_one_out(table, rule, fraction, n_rows, streams("leave_one_out"), with_adjustment=True)
     test = streams("rank_tests")
@@ -176,76 +177,56 @@ def analyse(table: Table, rule: str, fraction: float, n_bootstrap: int, n_rows: 
         trials=trials,
         calibration=calibration,
         expected=expected_limit(
-            trials.bounds[:, HEAD], trials.truth[:, 0], bounds[HEADLINE].value_kev, streams("expected")
+            trials.bounds[:, HEADLINE_INDEX], trials.truth[:, 0], bounds[HEADLINE].value_kev, streams("expected")
         ),
         gain=information(table.m_kev, table.m_range_kev, trials, streams("information")),
         adjusted=adjusted,
         adjusted_calibration=adjusted_calibration,
         no_adjustment=reason,
     )
-    return Analysis(**{**analysis.__dict__, "warnings": tuple(_warnings(table, analysis))})
-
-
-def _bounds(
-    table: Table,
-    accepted: Acceptance,
-    distances: FloatArray,
-    rng: np.random.Generator,
-    n_bootstrap: int,
-    counts: Counts | None = None,
-    weights: FloatArray | None = None,
-) -> dict[str, Bound]:
-    return lower_bounds(
-        table.m_kev,
-        accepted,
-        distances,
-        table.sample_id,
-        table.m_range_kev,
-        rng,
-        weights,
-        n_bootstrap,
-        None if counts is None else counts[:, order_by_id(table.sample_id, table.n)],
-    )
+    return replace(analysis, warnings=tuple(_warnings(table, analysis)))
 
 
 def _other_rules(
     table: Table, rule: str, fraction: float, distances: FloatArray, n_bootstrap: int, streams: Streams
 ) -> dict[str, Bound | str]:
-    """Headline under every other rule: of all distances, and of each alone."""
-    found: dict[str, Bound | str] = {}
+    """Return the headline bound under every other rule: of all distances, and of each alone."""
+    bounds: dict[str, Bound | str] = {}
     others = {name: (name, distances) for name in JOINT_RULES}
     others |= {kind: ("max_rank", distances[[i]]) for i, kind in enumerate(table.kinds)}
     for name, (other, cut_on) in others.items():
         if name == rule:
             continue
+        rng = streams(f"rules/{name}")
         try:
             accepted = accept(cut_on, other, fraction, table.sample_id, streams("ties"))
-            found[name] = _bounds(table, accepted, cut_on, streams(f"rules/{name}"), n_bootstrap)[HEADLINE]
+            bounds[name] = lower_bounds(table, accepted, cut_on, rng, n_bootstrap=n_bootstrap)[HEADLINE]
         except ValueError as error:  # too few samples, or a rule that is undefined on this table
-            found[other] = str(error)
-    return found
+            bounds[name] = str(error)
+    return bounds
 
 
 def _other_priors(
     table: Table, accepted: Acceptance, distances: FloatArray, counts: Counts, streams: Streams
 ) -> dict[str, Bound | str]:
-    """Headline under every prior, with the warnings of the re-weighting."""
-    found: dict[str, Bound | str] = {}
+    """Return the headline bound under every prior, with the warnings of the re-weighting."""
+    bounds: dict[str, Bound | str] = {}
     for name, prior in reweightings(table).items():
+        rng = streams("priors")
         try:
-            bound = _bounds(table, accepted, distances, streams("priors"), 2, counts, prior.weights)[HEADLINE]
+            bound = lower_bounds(table, accepted, distances, rng, prior.weights, counts=counts)[HEADLINE]
         except ValueError as error:  # the samples do not cover this prior
-            found[name] = "; ".join((*prior.warnings, str(error)))
+            bounds[name] = "; ".join((*prior.warnings, str(error)))
             continue
-        found[name] = Bound(**{**bound.__dict__, "warnings": prior.warnings + bound.warnings})
-    return found
+        bounds[name] = replace(bound, warnings=prior.warnings + bound.warnings)
+    return bounds
 
 
 def _calibration(bounds: FloatArray, pit: FloatArray, truth: FloatArray, rng: np.random.Generator) -> Calibration:
     overall = {name: coverage(bounds[:, i], truth[:, 0], level) for i, (name, level) in enumerate(LEVELS.items())}
     ranks = {name: rank_test(pit[:, i], rng) for i, name in enumerate(("m_th_kev", "log10_m_halo_msun"))}
     passed = overall[HEADLINE].nominal_inside and ranks["m_th_kev"].ks_p > MIN_KS_P
-    by_mass = coverage_by_mass(bounds[:, HEAD], truth[:, 0], LEVELS[HEADLINE])
+    by_mass = coverage_by_mass(bounds[:, HEADLINE_INDEX], truth[:, 0], LEVELS[HEADLINE])
     return Calibration(overall, by_mass, ranks, passed)
 
 
@@ -257,7 +238,7 @@ def _adjusted(
     calibration: Calibration | None,
     n_rows: int,
 ) -> tuple[Adjusted | None, str]:
-    """The adjustment of the observation, or why there is none."""
+    """Return the adjustment of the observation, or None and the reason."""
     try:
         moved = adjust(
             table.parameters,
@@ -269,30 +250,24 @@ def _adjusted(
         )
     except TooFewError as error:
         return None, str(error)
-    values = weighted_quantile(moved.values[:, 0], moved.weights, list(LEVELS.values()))
+    bounds = weighted_quantile(moved.values[:, 0], moved.weights, LEVEL_VALUES)
     replicates = convergence.adjusted_replicates
     errors = np.full(len(LEVELS), np.nan) if replicates is None else replicates.std(axis=0, ddof=1)
     valid = calibration is not None and calibration.passed and n_rows >= MIN_ROWS
-    adjusted = Adjusted(
-        dict(zip(LEVELS, map(float, values), strict=True)),
-        dict(zip(LEVELS, map(float, errors), strict=True)),
-        moved.values,
-        moved.weights,
-        moved.n_components,
-        valid,
-    )
-    return adjusted, ""
+    bounds_kev = dict(zip(LEVELS, map(float, bounds), strict=True))
+    errors_kev = dict(zip(LEVELS, map(float, errors), strict=True))
+    return Adjusted(bounds_kev, errors_kev, moved.values, moved.weights, moved.n_components, valid), ""
 
 
-def _warnings(table: Table, found: Analysis) -> list[str]:
-    """What to know before quoting the headline, loudest first."""
-    warnings = list(found.cloud.warnings)
-    warnings += found.bounds[HEADLINE].warnings
+def _warnings(table: Table, analysis: Analysis) -> list[str]:
+    """List what to know before quoting the headline, most serious first."""
+    warnings = list(analysis.cloud.warnings)
+    warnings += analysis.bounds[HEADLINE].warnings
     if table.n < MIN_TABLE:
         warnings.append(f"the table has {table.n} samples only (fewer than {MIN_TABLE})")
     if np.ptp(table.log10_mass) == 0.0:
         warnings.append(f"all samples have the halo mass 10^{table.log10_mass[0]:g} Msun: nothing is marginalised")
-    covered = found.calibration.overall[HEADLINE]
+    covered = analysis.calibration.overall[HEADLINE]
     if covered.n < MIN_ROWS:
         warnings.append(f"calibrated on {covered.n} rows only (fewer than {MIN_ROWS})")
     if not covered.nominal_inside:
@@ -301,13 +276,15 @@ def _warnings(table: Table, found: Analysis) -> list[str]:
             f"coverage of the bound is {covered.fraction:.1%} [{covered.low:.1%}, {covered.high:.1%}] instead of "
             f"{covered.nominal:.1%}; the truth lies above it {side}"
         )
-    for name, ranks in found.calibration.ranks.items():
+    for name, ranks in analysis.calibration.ranks.items():
         if ranks.ks_p <= MIN_KS_P:
             warnings.append(
                 f"ranks of {name} are not uniform (KS p = {ranks.ks_p:.1g}): the posterior is miscalibrated"
             )
-    if found.convergence.raw != CONVERGED:
-        warnings.append(f"threshold convergence of the bound: {found.convergence.raw}")
-    if found.acceptance.n_tied:
-        warnings.append(f"{found.acceptance.n_tied} samples tie at the acceptance threshold; a seeded key decided")
+    if analysis.convergence.raw != CONVERGED:
+        warnings.append(f"threshold convergence of the bound: {analysis.convergence.raw}")
+    if analysis.acceptance.n_tied:
+        warnings.append(
+            f"{analysis.acceptance.n_tied} samples tie at the acceptance threshold; a seeded key decided"
+        )
     return warnings

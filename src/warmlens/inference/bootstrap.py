@@ -1,7 +1,7 @@
 """Bootstrapped tables: whole rows are drawn with replacement *before* the acceptance.
 
-A table is the number of times that each row occurs, and what it accepts is the number of times that each row
-is accepted. Everything made of accepted samples (quantiles, densities) is then a product with these numbers.
+`Counts` say how often each row is accepted in each bootstrapped table. Quantiles and densities of the accepted
+samples are products with these counts.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
+import scipy  # scipy.stats takes 1 s to import; scipy loads it on first use
 
 from warmlens.inference.acceptance import max_rank, number_accepted, reduce_distances
 from warmlens.types import BoolArray, FloatArray, IntArray
@@ -22,7 +22,7 @@ Counts = npt.NDArray[np.uint16]
 def bootstrap_counts(
     distances: FloatArray, rule: str, fractions: Sequence[float], n_bootstrap: int, rng: np.random.Generator
 ) -> Counts:
-    """How often each row is accepted in each bootstrapped table, at each fraction.
+    """Count how often each bootstrapped table accepts each row, at each fraction [n_fractions, n_bootstrap, n].
 
     Parameters
     ----------
@@ -30,27 +30,18 @@ def bootstrap_counts(
         [n_kinds, n]; the rows in an order that does not depend on the run, such as that of their identity.
     rule
         One of `acceptance.RULES`. The scales of scaled_sum are those of the table itself.
-    fractions
-        Accepted fractions; all see the same tables.
-    n_bootstrap
-        Number of tables, >= 2.
-    rng
-        Generator.
-
-    Returns
-    -------
-    counts
-        [n_fractions, n_bootstrap, n].
+    fractions, n_bootstrap
+        Accepted fractions, all of the same tables; number of tables, >= 2.
 
     Notes
     -----
-    Ranks are cumulative sums of the numbers of rows along the rows sorted once by each distance, so that all
-    tables of a batch are handled at once.
+    The rows are sorted once by each distance. Ranks in a bootstrapped table are then cumulative sums of the
+    numbers of rows, for all tables of a batch at once.
     """
     if n_bootstrap < 2:
         raise ValueError(f"n_bootstrap must be >= 2, got {n_bootstrap}")
     distances = reduce_distances(distances, rule)
-    max_rank(distances)  # refuses what has no rank
+    max_rank(distances)  # rejects distances without a rank
     n = distances.shape[1]
     ks = [number_accepted(n, fraction) for fraction in fractions]
     by_distance = np.argsort(distances, axis=1, kind="stable")
@@ -85,27 +76,22 @@ def bootstrap_counts(
 
 def quantiles_of_counts(
     values: FloatArray,
-    counts: npt.NDArray[np.uint16] | IntArray | BoolArray,
+    counts: Counts | IntArray | BoolArray,
     levels: FloatArray,
     weights: FloatArray | None = None,
 ) -> FloatArray:
-    """Quantiles of the weighted empirical CDF of many selections of the same rows.
+    """Return quantiles of many selections of the same rows [n_selections, n_levels].
+
+    They are those of the weighted empirical CDF, see `bound.weighted_quantile`.
 
     Parameters
     ----------
-    values
-        [n].
+    values, weights
+        Of the rows, each [n]; equal weights by default.
     counts
-        How often each row is selected, [n_selections, n].
+        How often each row is selected [n_selections, n].
     levels
         [n_levels].
-    weights
-        Of the rows [n]; all equal unless given.
-
-    Returns
-    -------
-    quantiles
-        [n_selections, n_levels].
 
     Raises
     ------
@@ -122,12 +108,12 @@ def quantiles_of_counts(
             f"the weights leave nothing of the accepted samples in {empty} of {counts.shape[0]} bootstrapped "
             "tables; this prior is not covered by the samples"
         )
-    found = np.empty((counts.shape[0], levels.size))
+    quantiles = np.empty((counts.shape[0], levels.size))
     for i, level in enumerate(reached(levels)):
-        found[:, i] = values[order][np.argmax(cumulative >= level * cumulative[:, -1:], axis=1)]
-    return found
+        quantiles[:, i] = values[order][np.argmax(cumulative >= level * cumulative[:, -1:], axis=1)]
+    return quantiles
 
 
 def reached(level: FloatArray) -> FloatArray:
-    """A level less the rounding of a cumulative sum, so that 5 of 100 equal weights do reach 0.05."""
+    """Lower a level by the rounding of a cumulative sum, so that 5 of 100 equal weights do reach 0.05."""
     return level * (1.0 - 1e-12)

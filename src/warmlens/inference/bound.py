@@ -7,24 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from warmlens.inference.acceptance import Acceptance, order_by_id
-from warmlens.inference.bootstrap import bootstrap_counts, quantiles_of_counts, reached
-from warmlens.types import FloatArray, IntArray
+from warmlens.inference.acceptance import Acceptance
+from warmlens.inference.bootstrap import Counts, bootstrap_counts, quantiles_of_counts, reached
+from warmlens.inference.table import Table
+from warmlens.types import FloatArray
 
 LEVELS = {"q05": 0.05, "q0455": 0.0455, "q02275": 0.02275}
+LEVEL_VALUES = np.array(list(LEVELS.values()))  # [n_levels]
 HEADLINE = "q0455"
-MIN_ACCEPTED = 50
+HEADLINE_INDEX = list(LEVELS).index(HEADLINE)
+MIN_FOR_BOUND = 50
 MIN_BELOW_BOUND = 3.0
 
 
 class TooFewError(ValueError):
-    """An estimate that rests on too few samples to be quoted.
-
-    Attributes
-    ----------
-    estimate
-        What it would have been.
-    """
+    """Too few samples to quote a value; `estimate` is what it would have been."""
 
     def __init__(self, message: str, estimate: float) -> None:
         super().__init__(message)
@@ -44,13 +41,13 @@ class Bound:
     mc_error_kev
         Its Monte-Carlo error [keV]: standard deviation over bootstrapped tables.
     prior_only_kev
-        What the same quantile is without any data [keV].
+        The same quantile of the prior [keV].
     k, n
         Accepted and all samples.
     ess
         Kish effective size of the accepted samples; k without weights.
     warnings
-        What a reader has to know before quoting the value; empty if nothing.
+        What a reader must know before quoting the value.
     """
 
     name: str
@@ -63,21 +60,11 @@ class Bound:
     ess: float
     warnings: tuple[str, ...]
 
-    @property
-    def acceptance_fraction(self) -> float:
-        """Fraction of the table that was accepted."""
-        return self.k / self.n
-
 
 def weighted_quantile(values: FloatArray, weights: FloatArray, levels: npt.ArrayLike) -> FloatArray:
-    """Quantiles of the weighted empirical CDF: the smallest value at which it reaches the level.
+    """Return quantiles of the weighted empirical CDF: the smallest value at which it reaches the level.
 
-    Parameters
-    ----------
-    values, weights
-        Each [n]; weights >= 0, not all 0.
-    levels
-        In (0, 1], any shape; the shape of the result.
+    `values` and `weights` are [n]; weights >= 0, not all 0. `levels` in (0, 1] have the shape of the result.
     """
     level = np.asarray(levels, dtype=np.float64)
     if values.ndim != 1 or values.shape != weights.shape or not np.isfinite(values).all():
@@ -92,87 +79,74 @@ def weighted_quantile(values: FloatArray, weights: FloatArray, levels: npt.Array
 
 
 def uniform_prior_bound(low_kev: float, high_kev: float, level: float) -> float:
-    """The bound that a uniform prior gives without data: 1.20, 1.18, 1.09 keV for U[1, 5]."""
+    """Return the bound of a uniform prior without data: 1.20, 1.18, 1.09 keV for U[1, 5]."""
     return low_kev + level * (high_kev - low_kev)
 
 
 def effective_sample_size(weights: FloatArray) -> float:
-    """Kish effective size (sum w)^2 / sum w^2 of weights [n]."""
+    """Return the Kish effective size (sum w)^2 / sum w^2 of weights [n]."""
     return float(weights.sum() ** 2 / np.square(weights).sum())
 
 
 def lower_bounds(
-    m_kev: FloatArray,
+    table: Table,
     acceptance: Acceptance,
     distances: FloatArray,
-    sample_id: IntArray,
-    prior_range_kev: tuple[float, float],
     rng: np.random.Generator,
     weights: FloatArray | None = None,
     n_bootstrap: int = 1000,
-    counts: npt.NDArray[np.uint16] | None = None,
+    counts: Counts | None = None,
 ) -> dict[str, Bound]:
-    """Bounds at every level of `LEVELS`.
+    """Return the bound at every level of `LEVELS`.
 
     Parameters
     ----------
-    m_kev
-        Thermal relic mass of each sample [keV], [n].
     acceptance
-        From `accept` on the same rows; its rule and fraction are those of the bootstrap too.
+        From `accept` on the rows of `table`; the bootstrap uses its rule and fraction.
     distances
-        The distances that it was given, [n_kinds, n].
-    sample_id
-        Identity of each row [n], all different; makes the result independent of the order of the rows.
-    prior_range_kev
-        Bounds of the uniform prior that the samples were drawn from [keV].
+        The distances that `accept` cut on [n_kinds, n].
     rng
         Generator of the bootstrap.
     weights
-        Prior weights of the samples [n]; all equal unless given.
+        Prior weights of the samples [n]; equal by default.
     n_bootstrap
-        Number of bootstrapped tables.
+        Number of bootstrapped tables, if `counts` is None.
     counts
-        From `bootstrap_counts` with these distances, rows in ascending order of their identity [n_bootstrap, n];
-        made here unless given.
+        From `bootstrap_counts` with these distances [n_bootstrap, n].
 
     Raises
     ------
     TooFewError
-        If the rule marginal_and leaves fewer than `MIN_ACCEPTED` samples.
+        If the rule marginal_and leaves fewer than `MIN_FOR_BOUND` samples.
 
     Reference: docs/inference.md.
     """
-    if not acceptance.n == m_kev.size == distances.shape[1]:
+    m_kev = table.m_kev
+    if not acceptance.n == table.n == distances.shape[1]:
         raise ValueError(
-            f"{m_kev.size} masses, {acceptance.n} rows of the acceptance and {distances.shape[1]} distances; "
+            f"{table.n} masses, {acceptance.n} rows of the acceptance and {distances.shape[1]} distances; "
             "all must be of one table"
         )
-    low, high = prior_range_kev
-    if not (np.isfinite(m_kev).all() and low < high and m_kev.min() >= low and m_kev.max() <= high):
-        raise ValueError(f"masses from {m_kev.min()} to {m_kev.max()} keV leave the prior [{low}, {high}] keV")
-    weight = np.ones(m_kev.size) if weights is None else weights
-    levels = np.array(list(LEVELS.values()))
+    weight = np.ones(table.n) if weights is None else weights
     accepted = acceptance.accepted
     if not accepted.any():
         raise TooFewError(f"the rule {acceptance.rule} accepts none of {acceptance.n} samples", np.nan)
-    values = weighted_quantile(m_kev[accepted], weight[accepted], levels)
-    if acceptance.rule == "marginal_and" and acceptance.k < MIN_ACCEPTED:
+    values = weighted_quantile(m_kev[accepted], weight[accepted], LEVEL_VALUES)
+    if acceptance.rule == "marginal_and" and acceptance.k < MIN_FOR_BOUND:
         raise TooFewError(
             f"abc.acceptance: marginal_and leaves {acceptance.k} of {acceptance.n} samples, at least "
-            f"{MIN_ACCEPTED} are needed for a bound; raise abc.fraction = {acceptance.fraction:g} or use max_rank",
-            float(values[list(LEVELS).index(HEADLINE)]),
+            f"{MIN_FOR_BOUND} are needed for a bound; "
+            f"raise abc.fraction = {acceptance.fraction:g} or use max_rank",
+            float(values[HEADLINE_INDEX]),
         )
     ess = effective_sample_size(weight[accepted])
     if weights is None:
-        prior_only = np.array([uniform_prior_bound(low, high, level) for level in levels])
+        prior_only = np.array([uniform_prior_bound(*table.m_range_kev, level) for level in LEVEL_VALUES])
     else:
-        prior_only = weighted_quantile(m_kev, weights, levels)
-    order = order_by_id(sample_id, m_kev.size)
+        prior_only = weighted_quantile(m_kev, weights, LEVEL_VALUES)
     if counts is None:
-        counts = bootstrap_counts(distances[:, order], acceptance.rule, [acceptance.fraction], n_bootstrap, rng)[0]
-    replicates = quantiles_of_counts(m_kev[order], counts, levels, weight[order])
-    errors = replicates.std(axis=0, ddof=1)
+        counts = bootstrap_counts(distances, acceptance.rule, [acceptance.fraction], n_bootstrap, rng)[0]
+    errors = quantiles_of_counts(m_kev, counts, LEVEL_VALUES, weight).std(axis=0, ddof=1)
     return {
         name: Bound(
             name=name,
@@ -190,17 +164,16 @@ def lower_bounds(
 
 
 def _warnings(level: float, value: float, error: float, prior_only: float, k: int, ess: float) -> tuple[str, ...]:
-    """What has to be said next to a bound."""
-    found = []
-    if k < MIN_ACCEPTED:
-        found.append(f"only {k} samples are accepted (fewer than {MIN_ACCEPTED})")
-    elif ess < MIN_ACCEPTED:
-        found.append(f"the weighted samples count as {ess:.1f} (fewer than {MIN_ACCEPTED})")
+    warnings = []
+    if k < MIN_FOR_BOUND:
+        warnings.append(f"only {k} samples are accepted (fewer than {MIN_FOR_BOUND})")
+    elif ess < MIN_FOR_BOUND:
+        warnings.append(f"the weighted samples count as {ess:.1f} (fewer than {MIN_FOR_BOUND})")
     if level * ess < MIN_BELOW_BOUND:
-        found.append(f"the bound rests on {level * ess:.1f} samples below it (fewer than {MIN_BELOW_BOUND:g})")
+        warnings.append(f"the bound rests on {level * ess:.1f} samples below it (fewer than {MIN_BELOW_BOUND:g})")
     if value - prior_only <= 2.0 * error:
-        found.append(
+        warnings.append(
             f"indistinguishable from the prior: {value:.2f} +- {error:.2f} keV against {prior_only:.2f} keV "
             "without data"
         )
-    return tuple(found)
+    return tuple(warnings)

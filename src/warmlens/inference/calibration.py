@@ -8,13 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
+import scipy  # scipy.stats takes 1 s to import; scipy loads it on first use
 
 from warmlens.inference.acceptance import accept, number_accepted, reduce_distances
-from warmlens.inference.adjustment import MIN_ACCEPTED as MIN_TO_ADJUST
-from warmlens.inference.adjustment import adjust
+from warmlens.inference.adjustment import MIN_FOR_REGRESSION, adjust
 from warmlens.inference.bootstrap import quantiles_of_counts
-from warmlens.inference.bound import LEVELS, weighted_quantile
+from warmlens.inference.bound import LEVEL_VALUES, weighted_quantile
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -28,23 +27,21 @@ BATCH = 100
 
 @dataclass(frozen=True)
 class LeaveOneOut:
-    """What the procedure says of samples whose truth is known.
+    """Results of the inference for samples whose truth is known.
 
     Attributes
     ----------
-    rows
-        Rows of the table that played the observation [n_rows].
-    truth
-        Their parameters [n_rows, 2].
+    rows, truth
+        Rows of the table that played the observation [n_rows], and their parameters [n_rows, 2].
     accepted
-        What was accepted for each [n_rows, n]; never the row itself.
+        Accepted samples for each [n_rows, n]; never the row itself.
     pit
-        Rank of the truth among the accepted samples, over k + 1 and spread evenly within its step
+        Rank of the truth among the accepted samples, divided by k + 1 and spread evenly within its step
         [n_rows, 2]: uniform on (0, 1) if calibrated.
     bounds
         Quantiles of the accepted relic masses at every level of `LEVELS` [n_rows, n_levels] [keV].
     adjusted_pit, adjusted_bounds
-        The same of the regression adjustment; None if it was not asked for or too few are accepted.
+        The same of the regression adjustment; None if it was not requested or too few samples are accepted.
     """
 
     rows: IntArray
@@ -64,24 +61,23 @@ def leave_one_out(
     Parameters
     ----------
     table
-        Its own observation plays no part.
+        Its observation is not used.
     rule, fraction
-        Those of the inference; the fraction is that of the other n - 1 samples.
+        Rule of acceptance, and the fraction of the other n - 1 samples to accept.
     n_rows
-        How many rows, drawn without replacement; all if there are not more.
+        Number of rows, drawn without replacement; at most n are.
     rng
         Generator of the rows, of tie-breaking, and of the spread of the ranks.
     with_adjustment
-        Whether the regression adjustment is run too.
+        Whether to run the regression adjustment too.
     """
     n = table.n
     rows = np.sort(rng.choice(n, min(n_rows, n), replace=False))
     parameters, features = table.parameters, table.stacked()
-    with_adjustment = with_adjustment and number_accepted(n - 1, fraction) >= MIN_TO_ADJUST
-    levels = np.array(list(LEVELS.values()))
+    with_adjustment = with_adjustment and number_accepted(n - 1, fraction) >= MIN_FOR_REGRESSION
     accepted = np.zeros((rows.size, n), dtype=bool)
     pit, adjusted_pit = np.empty((rows.size, 2)), np.full((rows.size, 2), np.nan)
-    adjusted_bounds = np.full((rows.size, levels.size), np.nan)
+    adjusted_bounds = np.full((rows.size, LEVEL_VALUES.size), np.nan)
     others = np.arange(n - 1)
     for start in range(0, rows.size, BATCH):
         batch = rows[start : start + BATCH]
@@ -93,7 +89,7 @@ def leave_one_out(
             chosen = rest[result.accepted]
             accepted[i, chosen] = True
             pit[i] = _pit(parameters[chosen], np.ones(chosen.size), parameters[row], rng)
-            if with_adjustment and result.k >= MIN_TO_ADJUST:
+            if with_adjustment and result.k >= MIN_FOR_REGRESSION:
                 adjusted = adjust(
                     parameters[chosen],
                     table.ranges,
@@ -103,10 +99,10 @@ def leave_one_out(
                     np.ones(chosen.size, dtype=bool),
                 )
                 adjusted_pit[i] = _pit(adjusted.values, adjusted.weights, parameters[row], rng)
-                adjusted_bounds[i] = weighted_quantile(adjusted.values[:, 0], adjusted.weights, levels)
+                adjusted_bounds[i] = weighted_quantile(adjusted.values[:, 0], adjusted.weights, LEVEL_VALUES)
     some = accepted.any(axis=1)  # the rule marginal_and may accept nothing: such a row has no bound
-    bounds = np.full((rows.size, levels.size), np.nan)
-    bounds[some] = quantiles_of_counts(table.m_kev, accepted[some], levels)
+    bounds = np.full((rows.size, LEVEL_VALUES.size), np.nan)
+    bounds[some] = quantiles_of_counts(table.m_kev, accepted[some], LEVEL_VALUES)
     return LeaveOneOut(
         rows=rows,
         truth=parameters[rows],
@@ -119,9 +115,9 @@ def leave_one_out(
 
 
 def _pit(values: FloatArray, weights: FloatArray, truth: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Position of the truth [n_parameters] among weighted values [k, n_parameters], spread over its step.
+    """Return the rank of the truth [n_parameters] among weighted values [k, n_parameters], spread over its step.
 
-    The truth is one more sample, of the mean weight; ties are spread too.
+    The truth counts as one more sample of the mean weight; ties are spread too.
     """
     u = rng.random(truth.size)
     if weights.size == 0:
@@ -134,7 +130,7 @@ def _pit(values: FloatArray, weights: FloatArray, truth: FloatArray, rng: np.ran
 
 @dataclass(frozen=True)
 class Coverage:
-    """How often the truth lay above a bound.
+    """Frequency with which a bound lies below the truth.
 
     Attributes
     ----------
@@ -143,7 +139,7 @@ class Coverage:
     low, high
         Clopper-Pearson interval of the probability at `CONFIDENCE`.
     nominal
-        What it should be on average over the prior: 1 - level.
+        Expected coverage on average over the prior: 1 - level.
     """
 
     n: int
@@ -164,15 +160,15 @@ class Coverage:
 
 
 def coverage(bounds: FloatArray, truth: FloatArray, level: float) -> Coverage:
-    """Coverage of lower bounds [n] of true values [n], both [keV]; bounds that are NaN do not count."""
-    known = np.isfinite(bounds)
-    n, covered = int(known.sum()), int((truth[known] >= bounds[known]).sum())
+    """Measure the coverage of lower bounds [n] of true values [n], both [keV]; NaN bounds do not count."""
+    finite = np.isfinite(bounds)
+    n, covered = int(finite.sum()), int((truth[finite] >= bounds[finite]).sum())
     low, high = clopper_pearson(covered, n)
     return Coverage(n, covered, low, high, 1.0 - level)
 
 
 def coverage_by_mass(bounds: FloatArray, truth: FloatArray, level: float) -> dict[str, Coverage]:
-    """Coverage for the true masses of `MASS_BINS_KEV`; the nominal one holds on average over all only."""
+    """Measure the coverage in each of `MASS_BINS_KEV`; it is nominal only on average over all masses."""
     return {
         name: coverage(bounds[inside], truth[inside], level)
         for name, (low, high) in MASS_BINS_KEV.items()
@@ -181,7 +177,7 @@ def coverage_by_mass(bounds: FloatArray, truth: FloatArray, level: float) -> dic
 
 
 def clopper_pearson(successes: int, trials: int, confidence: float = CONFIDENCE) -> tuple[float, float]:
-    """Interval of a binomial probability that contains it at least as often as `confidence` says."""
+    """Return the interval that contains a binomial probability with at least the given confidence."""
     tail = 0.5 * (1.0 - confidence)
     quantile = scipy.stats.beta.ppf
     low = 0.0 if successes == 0 else float(quantile(tail, successes, trials - successes + 1))
@@ -197,12 +193,10 @@ class RankTest:
     ----------
     ks_statistic, ks_p
         Kolmogorov-Smirnov test against the uniform distribution.
-    grid
-        Points in (0, 1) [n_grid].
-    ecdf
-        Fraction of the ranks at or below each [n_grid].
+    grid, ecdf
+        Points in (0, 1), and the fraction of the ranks at or below each [n_grid].
     band
-        Lower and upper edge that uniform ranks leave anywhere with probability 5% only [2, n_grid].
+        Simultaneous 95% band of the ECDF of uniform ranks: lower and upper edge [2, n_grid].
     """
 
     ks_statistic: float
@@ -220,37 +214,30 @@ class RankTest:
 def rank_test(pit: FloatArray, rng: np.random.Generator, n_grid: int = 50, n_simulated: int = 2000) -> RankTest:
     """Test positions of the truth [n] for uniformity.
 
-    Reference: simultaneous ECDF band after Saeilynoja, Buerkner & Vehtari 2022, Stat. Comput. 32, 32, of
-    simulated uniform ranks.
+    Reference: Saeilynoja, Buerkner & Vehtari 2022, Stat. Comput. 32, 32 (ECDF band from simulated uniform ranks).
     """
     grid = np.arange(1, n_grid + 1) / (n_grid + 1)
     ks = scipy.stats.kstest(pit, "uniform")
     simulated = rng.multinomial(pit.size, np.full(n_grid + 1, 1.0 / (n_grid + 1)), size=n_simulated)
-    steps = np.sort(np.cumsum(simulated, axis=1)[:, :-1] / pit.size, axis=0)  # [n_simulated, n_grid], each sorted
+    walks = np.cumsum(simulated, axis=1)[:, :-1] / pit.size  # [n_simulated, n_grid]
+    steps = np.sort(walks, axis=0)
     ecdf = np.searchsorted(np.sort(pit), grid, side="right") / pit.size
-    walks = np.cumsum(simulated, axis=1)[:, :-1] / pit.size
-    # the pointwise tail that 95% of the walks never enter
-    below = np.stack(
-        [np.searchsorted(column, walk, "right") for column, walk in zip(steps.T, walks.T, strict=True)]
-    )
-    above = n_simulated - np.stack(
-        [np.searchsorted(column, walk, "left") for column, walk in zip(steps.T, walks.T, strict=True)]
-    )
-    depth = np.minimum(below, above).min(axis=0)  # of each walk: how far out its outermost point lies
-    tail = max(int(np.quantile(depth, 1.0 - CONFIDENCE)), 1)
+    columns = list(zip(steps.T, walks.T, strict=True))
+    below = np.stack([np.searchsorted(step, walk, "right") for step, walk in columns])
+    above = n_simulated - np.stack([np.searchsorted(step, walk, "left") for step, walk in columns])
+    depth = np.minimum(below, above).min(axis=0)  # rank of the outermost point of each walk
+    tail = max(int(np.quantile(depth, 1.0 - CONFIDENCE)), 1)  # 95% of the walks never enter it at any point
     return RankTest(float(ks.statistic), float(ks.pvalue), grid, ecdf, np.stack([steps[tail - 1], steps[-tail]]))
 
 
 @dataclass(frozen=True)
 class ExpectedLimit:
-    """Bounds that CDM-like truths lead to.
+    """Bounds of trials with a CDM-like truth.
 
     Attributes
     ----------
-    n
-        Truths above `CDM_LIKE_KEV`.
-    quantiles_kev
-        5, 16, 50, 84 and 95% quantiles of their bounds [keV].
+    n, quantiles_kev
+        Number of truths above `CDM_LIKE_KEV`; 5, 16, 50, 84 and 95% quantiles of their bounds [keV].
     median_error_kev
         Standard deviation of the median over bootstrapped truths [keV].
     observed_percentile
@@ -266,11 +253,11 @@ class ExpectedLimit:
 def expected_limit(
     bounds: FloatArray, truth: FloatArray, observed_bound: float, rng: np.random.Generator
 ) -> ExpectedLimit | None:
-    """Expected limit of CDM-like truths from bounds and true masses [n] [keV]; None below 10 such truths."""
-    found = bounds[(truth > CDM_LIKE_KEV) & np.isfinite(bounds)]
-    if found.size < 10:
+    """Return the expected limit from bounds and true masses [n] [keV]; None below 10 CDM-like truths."""
+    cold = bounds[(truth > CDM_LIKE_KEV) & np.isfinite(bounds)]
+    if cold.size < 10:
         return None
-    quantiles = np.quantile(found, [0.05, 0.16, 0.5, 0.84, 0.95])
-    medians = np.median(rng.choice(found, (500, found.size)), axis=1)
-    percentile = 100.0 * float(np.mean(found < observed_bound) + 0.5 * np.mean(found == observed_bound))
-    return ExpectedLimit(found.size, tuple(map(float, quantiles)), float(medians.std(ddof=1)), percentile)
+    quantiles = np.quantile(cold, [0.05, 0.16, 0.5, 0.84, 0.95])
+    medians = np.median(rng.choice(cold, (500, cold.size)), axis=1)
+    percentile = 100.0 * float(np.mean(cold < observed_bound) + 0.5 * np.mean(cold == observed_bound))
+    return ExpectedLimit(cold.size, tuple(map(float, quantiles)), float(medians.std(ddof=1)), percentile)

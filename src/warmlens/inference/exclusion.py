@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warmlens.inference.bound import HEADLINE, LEVELS, MIN_ACCEPTED
+from warmlens.inference.bound import HEADLINE, LEVELS, MIN_FOR_BOUND
 from warmlens.inference.calibration import CONFIDENCE, clopper_pearson
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -201,8 +201,8 @@ def _ratio(i: int, best: int, sizes: IntArray, counts: IntArray) -> tuple[float,
 def _warnings(counts: IntArray, sizes: IntArray, nodes: FloatArray) -> tuple[str, ...]:
     found = []
     k, level = int(counts.sum()), f"{100 * (1 - LEVEL):.2f}%"
-    if k < MIN_ACCEPTED:
-        found.append(f"only {k} samples are accepted (fewer than {MIN_ACCEPTED})")
+    if k < MIN_FOR_BOUND:
+        found.append(f"only {k} samples are accepted (fewer than {MIN_FOR_BOUND})")
     needed = int(np.ceil(np.log(0.5 * (1.0 - CONFIDENCE)) / np.log1p(-LEVEL)))
     if k < needed:
         found.append(

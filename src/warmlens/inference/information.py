@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from warmlens.inference.bound import HEADLINE, LEVELS
+from warmlens.inference.bound import HEADLINE_INDEX
 from warmlens.inference.calibration import CDM_LIKE_KEV, LeaveOneOut
 from warmlens.inference.table import Range
 from warmlens.types import BoolArray, FloatArray
@@ -65,7 +65,7 @@ def information(
     gains = divergences(m_kev, accepted, m_range_kev)
     chance = [divergences(rng.permutation(m_kev), accepted, m_range_kev).mean() for _ in range(N_PERMUTATIONS)]
     gain_error = np.hypot(gains.std(ddof=1) / np.sqrt(gains.size), np.std(chance, ddof=1))
-    bounds = trials.bounds[some, list(LEVELS).index(HEADLINE)]
+    bounds = trials.bounds[some, HEADLINE_INDEX]
     cold = bounds[trials.truth[some, 0] > CDM_LIKE_KEV]
     median = error = np.nan
     if cold.size >= 10:

@@ -1,13 +1,13 @@
-"""Likelihood ratio B(m) = p(m | s_o) / pi(m) from accepted samples, which no choice of prior enters."""
+"""Likelihood ratio B(m) = p(m | s_o) / pi(m) from accepted samples, independent of the prior."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
-import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
+import scipy  # scipy.stats takes 1 s to import; scipy loads it on first use
 
+from warmlens.inference.bootstrap import Counts
 from warmlens.types import BoolArray, FloatArray, IntArray
 
 RATIOS = (0.1, 0.05)
@@ -25,13 +25,13 @@ class Crossing:
     ratio
         1/10 or 1/20.
     m_kev
-        Largest mass at which B has fallen to it [keV]; None if it does not within the prior.
-    mc_error_kev
-        Standard deviation over the bootstrapped tables in which it does [keV]; None if that is less than half.
+        Largest mass at which B has fallen to `ratio` [keV]; None if it does not within the prior.
     fraction_reaching
-        Fraction of the bootstrapped tables in which it does.
+        Fraction of the bootstrapped tables in which B falls to `ratio`.
+    mc_error_kev
+        Standard deviation of the mass over those tables [keV]; None if they are less than half of all.
     warnings
-        What a reader has to know; empty if nothing.
+        What a reader must know before quoting the value.
     """
 
     ratio: float
@@ -47,16 +47,12 @@ class LikelihoodRatio:
 
     Attributes
     ----------
-    m_kev
-        Grid from edge to edge of the prior [n_grid] [keV].
-    ratio
-        B [n_grid].
+    m_kev, ratio
+        Grid from edge to edge of the prior [keV] and B on it, each [n_grid].
     replicates
-        B of bootstrapped tables [n_bootstrap, n_grid].
-    bandwidth_kev
-        Standard deviation of the kernel [keV].
-    k
-        Accepted samples.
+        B of the bootstrapped tables [n_bootstrap, n_grid].
+    bandwidth_kev, k
+        Standard deviation of the kernel [keV], and number of accepted samples.
     """
 
     m_kev: FloatArray
@@ -65,15 +61,15 @@ class LikelihoodRatio:
     bandwidth_kev: float
     k: int
 
-    def band(self, levels: tuple[float, float] = BAND) -> FloatArray:
-        """Quantiles of the bootstrapped B [2, n_grid]."""
-        return np.quantile(self.replicates, levels, axis=0)
+    def band(self) -> FloatArray:
+        """Return the quantiles `BAND` of the bootstrapped B [2, n_grid]."""
+        return np.quantile(self.replicates, BAND, axis=0)
 
     def falls_to(self, ratio: float) -> Crossing:
-        """Where B falls to `ratio`, coming from the upper end."""
+        """Return where B falls to `ratio`, coming from the upper end."""
         value = crossing(self.m_kev, self.ratio[None], ratio)[0]
-        found = crossing(self.m_kev, self.replicates, ratio)
-        reaching = np.isfinite(found)
+        replicates_kev = crossing(self.m_kev, self.replicates, ratio)
+        reaching = np.isfinite(replicates_kev)
         fraction = float(reaching.mean())
         if np.isnan(value):
             return Crossing(ratio, None, None, fraction, (f"B(m) does not fall to {ratio:g} within the prior",))
@@ -86,14 +82,14 @@ class LikelihoodRatio:
                 f"B = {ratio:g} at {value:.2f} keV rests on {expected:.1f} accepted samples near it "
                 f"(fewer than {MIN_EXPECTED:g})"
             )
-        error = float(found[reaching].std(ddof=1)) if fraction >= 0.5 and reaching.sum() > 1 else None
+        error = float(replicates_kev[reaching].std(ddof=1)) if fraction >= 0.5 and reaching.sum() > 1 else None
         if error is None:
             warnings.append(f"B falls to {ratio:g} in {fraction:.0%} of the bootstrapped tables only")
         return Crossing(ratio, float(value), error, fraction, tuple(warnings))
 
 
 def crossing(grid: FloatArray, ratios: FloatArray, value: float) -> FloatArray:
-    """Largest mass at which each B of [n, n_grid] is down to `value` [n]; NaN where it never is.
+    """Return the largest mass at which each B of [n, n_grid] is down to `value` [n]; NaN where it never is.
 
     Linear in log B between the points of the grid.
     """
@@ -112,30 +108,25 @@ def crossing(grid: FloatArray, ratios: FloatArray, value: float) -> FloatArray:
 def likelihood_ratio(
     m_kev: FloatArray,
     accepted: BoolArray,
-    counts: npt.NDArray[np.uint16],
+    counts: Counts,
     m_range_kev: tuple[float, float],
-    n_grid: int = N_GRID,
 ) -> LikelihoodRatio:
-    """B(m) of the accepted samples of a uniform prior.
+    """Estimate B(m) from the accepted samples of a uniform prior.
+
+    The density of the accepted samples is divided by that of all samples with the same kernel, so that chance
+    excesses of the table cancel; otherwise they add up when lenses are combined. The bandwidth is Silverman's,
+    the same for all bootstrapped tables.
 
     Parameters
     ----------
     m_kev, accepted
         Relic mass [keV] and acceptance of the samples, each [n].
     counts
-        Of bootstrapped tables [n_bootstrap, n], from `bootstrap_counts`.
+        From `bootstrap_counts` [n_bootstrap, n].
     m_range_kev
-        Edges of the uniform prior that they were drawn from [keV].
-    n_grid
-        Points of the grid.
-
-    Notes
-    -----
-    The density of the accepted samples is divided by that of all samples with the same kernel: chance excesses
-    of the table cancel, which otherwise add up when lenses are combined. The bandwidth is Silverman's, and the
-    same for all bootstrapped tables.
+        Edges of the uniform prior [keV].
     """
-    grid = np.linspace(*m_range_kev, n_grid)
+    grid = np.linspace(*m_range_kev, N_GRID)
     width = silverman(m_kev[accepted], m_range_kev)
     kernels = BoundaryKernels(grid, m_kev, width, m_range_kev)
     ratio = kernels.ratio(accepted[None])[0]
@@ -144,7 +135,7 @@ def likelihood_ratio(
 
 
 def silverman(values: FloatArray, value_range: tuple[float, float]) -> float:
-    """Silverman's bandwidth 0.9 min(sd, IQR / 1.34) n^(-1/5), at most a quarter of the range."""
+    """Return Silverman's bandwidth 0.9 min(sd, IQR / 1.34) n^(-1/5), at most a quarter of the range."""
     spread = float(values.std())
     quartiles = np.quantile(values, [0.25, 0.75])
     robust = float(quartiles[1] - quartiles[0]) / 1.34
@@ -173,20 +164,20 @@ class BoundaryKernels:
         self._constant = kernel / a0
         self._linear = kernel * (a2 - a1 * u) / (a0 * a2 - a1**2)
 
-    def density(self, counts: npt.NDArray[np.uint16] | BoolArray | IntArray | FloatArray) -> FloatArray:
-        """Density on the grid of every selection [n_selections, n] of the values, [n_selections, n_grid]."""
+    def density(self, counts: Counts | BoolArray | IntArray | FloatArray) -> FloatArray:
+        """Return the density of every selection [n_selections, n] of the values [n_selections, n_grid]."""
         total = np.maximum(counts.sum(axis=1, keepdims=True), 1)
         numbers = counts.astype(np.float64)
         constant, linear = numbers @ self._constant / total, numbers @ self._linear / total
         safe = np.maximum(constant, np.finfo(float).tiny)
         return constant * np.exp(np.clip(linear / safe - 1.0, -50.0, 50.0))
 
-    def ratio(self, selected: npt.NDArray[np.uint16] | BoolArray, table: IntArray | None = None) -> FloatArray:
-        """B on the grid of every selection [n_selections, n]: its density over the table's, 1 at the upper end.
+    def ratio(self, selected: Counts | BoolArray, table: IntArray | None = None) -> FloatArray:
+        """Return B of every selection [n_selections, n]: its density over the table's, 1 at the upper end.
 
-        `table` says how often each row is in the table [n]; once unless given. At the upper end the density is
+        `table` says how often each row is in the table [n]; once by default. The density at the upper end is
         kept above 1e-12 of the largest.
         """
         times = np.ones(selected.shape[1], dtype=np.int64) if table is None else table
-        found = self.density(selected if table is None else selected * table) / self.density(times[None])
-        return found / np.maximum(found[:, -1:], 1e-12 * found.max(axis=1, keepdims=True))
+        ratios = self.density(selected if table is None else selected * table) / self.density(times[None])
+        return ratios / np.maximum(ratios[:, -1:], 1e-12 * ratios.max(axis=1, keepdims=True))

@@ -9,12 +9,10 @@ import numpy as np
 
 from warmlens.inference.acceptance import accept
 from warmlens.inference.bootstrap import quantiles_of_counts
-from warmlens.inference.bound import HEADLINE, LEVELS
+from warmlens.inference.bound import HEADLINE_INDEX, LEVEL_VALUES
 from warmlens.inference.checks import CloudCheck
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray
-
-HEAD = list(LEVELS).index(HEADLINE)
 
 
 @dataclass(frozen=True)
@@ -40,12 +38,12 @@ class NullTest:
     @property
     def quantiles_kev(self) -> tuple[float, float, float]:
         """16, 50 and 84% of the headline bounds [keV]."""
-        low, median, high = np.nanquantile(self.bounds[:, HEAD], [0.16, 0.5, 0.84])
+        low, median, high = np.nanquantile(self.bounds[:, HEADLINE_INDEX], [0.16, 0.5, 0.84])
         return float(low), float(median), float(high)
 
     def fraction_reaching(self, bound_kev: float) -> float:
         """Fraction of the mocks whose headline bound is as high as `bound_kev` or higher."""
-        return float(np.mean(self.bounds[:, HEAD] >= bound_kev))
+        return float(np.mean(self.bounds[:, HEADLINE_INDEX] >= bound_kev))
 
 
 def null_test(
@@ -77,8 +75,7 @@ def null_test(
         [accept(distances[:, i], rule, fraction, table.sample_id, rng).accepted for i in range(n_mocks)]
     )
     some = accepted.any(axis=1)
-    levels = np.array(list(LEVELS.values()))
-    bounds = np.full((n_mocks, levels.size), np.nan)
+    bounds = np.full((n_mocks, LEVEL_VALUES.size), np.nan)
     if some.any():
-        bounds[some] = quantiles_of_counts(table.m_kev, accepted[some], levels)
+        bounds[some] = quantiles_of_counts(table.m_kev, accepted[some], LEVEL_VALUES)
     return NullTest(accepted, bounds, cloud.percentiles(distances.min(axis=2)))

@@ -161,15 +161,7 @@ def summary_set(table: Table, fraction: float, n_bootstrap: int, n_rows: int, st
     """
     distances = table.distances()
     accepted = accept(distances, "max_rank", fraction, table.sample_id, streams("ties"))
-    bound = lower_bounds(
-        table.m_kev,
-        accepted,
-        distances,
-        table.sample_id,
-        table.m_range_kev,
-        streams("bootstrap"),
-        n_bootstrap=n_bootstrap,
-    )[HEADLINE]
+    bound = lower_bounds(table, accepted, distances, streams("bootstrap"), n_bootstrap=n_bootstrap)[HEADLINE]
     trials = leave_one_out(table, "max_rank", fraction, n_rows, streams("leave_one_out"))
     gain = information(table.m_kev, table.m_range_kev, trials, streams("information"))
     return SummarySet(table.kinds, gain, bound)

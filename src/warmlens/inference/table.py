@@ -1,4 +1,4 @@
-"""The table that all inference works on: parameters, and summaries as points whose distance is D."""
+"""The table of samples: their parameters, and their summaries as points in a Euclidean space."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ class Table:
     m_range_kev, log10_mass_range
         Edges of the uniform prior.
     features
-        For each kind of summary [n, n_features]: points whose squared Euclidean distance is the distance D of
+        Points of each kind of summary [n, n_features], whose squared Euclidean distance is the distance D of
         that kind (`distance.integral_features`).
     observed
-        For each kind the point of the observation [n_features].
+        Point of the observation for each kind [n_features].
     kinds
-        Names of the kinds; the paper's unless given.
+        Names of the kinds; the paper's by default.
     """
 
     sample_id: IntArray
@@ -85,18 +85,18 @@ class Table:
         return self.m_range_kev, self.log10_mass_range
 
     def distances(self) -> FloatArray:
-        """Distance of every sample to the observation [n_kinds, n]."""
+        """Return the distance of every sample to the observation [n_kinds, n]."""
         return self.distances_from([row[None] for row in self.observed])[:, 0]
 
     def distances_between(self, rows: IntArray) -> FloatArray:
-        """Distance of every sample to the samples in `rows` [n_kinds, n_rows, n]."""
+        """Return the distance of every sample to the samples in `rows` [n_kinds, n_rows, n]."""
         return self.distances_from([features[rows] for features in self.features])
 
     def distances_from(self, points: Sequence[FloatArray]) -> FloatArray:
-        """Distance of every sample to points of each kind, each [n_points, n_features]: [n_kinds, n_points, n]."""
+        """Return distances [n_kinds, n_points, n] of all samples to points of each kind [n_points, n_features]."""
         pairs = zip(points, self.features, strict=True)
-        return np.array([squared_distances(some, features) for some, features in pairs])
+        return np.array([squared_distances(of_kind, features) for of_kind, features in pairs])
 
     def stacked(self) -> FloatArray:
-        """All features side by side [n, sum of n_features]."""
+        """Return all features side by side [n, sum of n_features]."""
         return np.concatenate(self.features, axis=1)

@@ -12,7 +12,7 @@ import pandas as pd
 from warmlens.artifacts.file import Dataset
 from warmlens.inference.acceptance import KINDS
 from warmlens.inference.analysis import MIN_TABLE, Adjusted, Analysis, Calibration
-from warmlens.inference.bound import HEADLINE, MIN_ACCEPTED, Bound
+from warmlens.inference.bound import HEADLINE, MIN_FOR_BOUND, Bound
 from warmlens.inference.calibration import CDM_LIKE_KEV, MASS_BINS_KEV, MIN_ROWS, Coverage
 from warmlens.inference.checks import Predictive
 from warmlens.inference.combine import Forecast
@@ -185,7 +185,7 @@ def answer_numbers(
 
 def quotable(analysis: Analysis) -> bool:
     """Return whether the bound may be quoted: enough samples, and an observation that lies among them."""
-    enough = analysis.acceptance.k >= MIN_ACCEPTED and analysis.acceptance.n >= MIN_TABLE
+    enough = analysis.acceptance.k >= MIN_FOR_BOUND and analysis.acceptance.n >= MIN_TABLE
     return enough and not analysis.cloud.warnings
 
 
