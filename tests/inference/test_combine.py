@@ -31,14 +31,14 @@ def gaussian(mean, sigma, grid=GRID):
 
 def test_likelihoods_multiply_and_the_prior_counts_once():
     first, second = gaussian(3.0, 0.8), gaussian(4.0, 0.6)
-    found = combine([first, second])
+    combined = combine([first, second])
     weights = np.array([0.8, 0.6]) ** -2
     mean, sigma = (weights * [3.0, 4.0]).sum() / weights.sum(), weights.sum() ** -0.5
     low, high = norm.cdf([1.0, 5.0], mean, sigma)
     for name, level in LEVELS.items():
         exact = norm.ppf(low + level * (high - low), mean, sigma)
-        assert found.bounds_kev[name] == pytest.approx(exact, abs=2e-3)
-        assert found.prior_only_kev[name] == pytest.approx(1.0 + 4.0 * level)
+        assert combined.bounds_kev[name] == pytest.approx(exact, abs=2e-3)
+        assert combined.prior_only_kev[name] == pytest.approx(1.0 + 4.0 * level)
     # lenses that say nothing leave the prior as it is, however many
     flat = combine([lens(np.zeros(201))] * 10)
     assert flat.bounds_kev["q05"] == pytest.approx(1.2)
@@ -58,8 +58,8 @@ def test_one_lens_is_itself_and_the_order_has_no_say():
 
 def test_different_ranges_meet_where_all_are():
     other = gaussian(3.5, 0.7, np.linspace(2.0, 8.0, 121))
-    found = combine([gaussian(3.0, 0.8), other])
-    assert (found.m_kev[0], found.m_kev[-1]) == (2.0, 5.0)
+    combined = combine([gaussian(3.0, 0.8), other])
+    assert (combined.m_kev[0], combined.m_kev[-1]) == (2.0, 5.0)
     with pytest.raises(ValueError, match="no relic mass in common: up to 5 keV and from 6 keV"):
         combine([gaussian(3.0, 0.8), gaussian(7.0, 0.5, np.linspace(6.0, 9.0, 11))])
 
@@ -73,8 +73,8 @@ def test_no_lens_excludes_more_than_its_samples_show():
 
 def test_quantiles_of_a_known_density():
     log_ratio = np.stack([np.zeros(201), np.log(np.maximum(GRID - 1.0, 1e-300))])
-    found = posterior_quantiles(GRID, log_ratio, np.array([0.04, 0.25]))
-    np.testing.assert_allclose(found, [[1.16, 2.0], [1.8, 3.0]], atol=2e-3)
+    quantiles = posterior_quantiles(GRID, log_ratio, np.array([0.04, 0.25]))
+    np.testing.assert_allclose(quantiles, [[1.16, 2.0], [1.8, 3.0]], atol=2e-3)
 
 
 def test_forecast_for_gaussian_lenses():
@@ -85,9 +85,9 @@ def test_forecast_for_gaussian_lenses():
     measured = truth + sigma * rng.standard_normal(4000)
     ratios = np.exp(norm.logpdf(GRID, measured[:, None], sigma) - norm.logpdf(GRID[-1:], measured[:, None], sigma))
     cold = ratios[truth > 4.5]
-    found = forecast(GRID, [cold] * 10, 10**9, 0.0455, rng)
-    by_number = {entry.n_lenses: entry for entry in found if entry.noise_factor == 1.0}
-    by_noise = {entry.noise_factor: entry for entry in found if entry.n_lenses == 1}
+    forecasts = forecast(GRID, [cold] * 10, 10**9, 0.0455, rng)
+    by_number = {entry.n_lenses: entry for entry in forecasts if entry.noise_factor == 1.0}
+    by_noise = {entry.noise_factor: entry for entry in forecasts if entry.n_lenses == 1}
     medians = [by_number[n].median_kev for n in sorted(by_number)]
     assert (np.diff(medians) > 0.0).all()
     assert by_noise[2.0].median_kev < by_noise[1.0].median_kev < by_noise[0.5].median_kev
@@ -120,8 +120,8 @@ def test_many_lenses_without_information_are_still_the_prior_within_the_error():
     trials = leave_one_out(table, "max_rank", 0.05, 600, rng)
     accepted = trials.accepted[0]
     like = likelihood_ratio(table.m_kev, accepted, accepted[None].astype(np.uint16), (1.0, 5.0))
-    found = forecast(like.m_kev, cold_ratios(table, trials, like, rng), 100, 0.0455, rng)
-    for case in found:
+    forecasts = forecast(like.m_kev, cold_ratios(table, trials, like, rng), 100, 0.0455, rng)
+    for case in forecasts:
         assert abs(case.median_kev - 1.182) < max(4.0 * case.median_error_kev, 0.03), case
-    assert found[0].median_error_kev < 0.03
-    assert found[5].median_error_kev > found[0].median_error_kev
+    assert forecasts[0].median_error_kev < 0.03
+    assert forecasts[5].median_error_kev > forecasts[0].median_error_kev

@@ -54,16 +54,16 @@ def test_points_have_the_distance_of_the_integrals():
     rng = np.random.default_rng(1)
     grid = np.sort(rng.random(20))
     first, second = rng.random((5, 20)), rng.random((4, 20))
-    found = squared_distances(integral_features(grid, first), integral_features(grid, second))
-    np.testing.assert_allclose(found, correlation_distance(grid, first[:, None], second[None]), rtol=1e-12)
+    squared = squared_distances(integral_features(grid, first), integral_features(grid, second))
+    np.testing.assert_allclose(squared, correlation_distance(grid, first[:, None], second[None]), rtol=1e-12)
 
 
 def test_shrunk_covariance_is_that_of_an_independent_code():
     sklearn = pytest.importorskip("sklearn.covariance")
     rows = np.random.default_rng(2).standard_normal((40, 25)) @ np.diag(np.linspace(0.5, 3.0, 25)) + 7.0
-    found, shrinkage = ledoit_wolf(rows)
+    covariance, shrinkage = ledoit_wolf(rows)
     expected, intensity = sklearn.ledoit_wolf(rows)
-    np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(covariance, expected, rtol=1e-10, atol=1e-12)
     assert shrinkage == pytest.approx(intensity)
     assert 0.0 < shrinkage < 1.0
 

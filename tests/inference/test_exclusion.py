@@ -23,10 +23,10 @@ def _grid(
 
 
 def test_counts_fractions_and_posterior() -> None:
-    found = _grid([[0, 0], [4, 6], [50, 40]])
-    assert found.n_samples.tolist() == [[50, 50]] * 3
-    assert found.n_accepted.tolist() == [[0, 0], [4, 6], [50, 40]]
-    low, middle, high = found.halo_masses
+    counts = _grid([[0, 0], [4, 6], [50, 40]])
+    assert counts.n_samples.tolist() == [[50, 50]] * 3
+    assert counts.n_accepted.tolist() == [[0, 0], [4, 6], [50, 40]]
+    low, middle, high = counts.halo_masses
     assert (low.rate, middle.rate, high.rate) == (0.0, 0.1, 0.9)
     assert (low.probability, middle.probability, high.probability) == pytest.approx((0.0, 0.1, 0.9))
     assert (middle.cumulative, high.cumulative) == pytest.approx((0.1, 1.0))
@@ -40,14 +40,14 @@ def test_counts_fractions_and_posterior() -> None:
 
 
 def test_an_exclusion_needs_the_upper_ends() -> None:
-    found = _grid([[0, 0], [4, 6], [50, 40]])
-    assert [item.excluded for item in found.halo_masses] == [True, False, False]
-    assert found.excluded_up_to is found.halo_masses[0]
-    assert found.halo_masses[0].excluded_at == pytest.approx(0.025**0.01)
-    assert found.warnings == ("the best halo mass, 10^13 Msun, is at the edge of the grid",)
+    counts = _grid([[0, 0], [4, 6], [50, 40]])
+    assert [halo.excluded for halo in counts.halo_masses] == [True, False, False]
+    assert counts.excluded_up_to is counts.halo_masses[0]
+    assert counts.halo_masses[0].excluded_at == pytest.approx(0.025**0.01)
+    assert counts.warnings == ("the best halo mass, 10^13 Msun, is at the edge of the grid",)
     few = _grid([[0, 0], [1, 2], [12, 10]])  # the same fractions from a quarter of the samples: 13% at most
     assert few.halo_masses[0].probability_interval[1] > LEVEL
-    assert not any(item.excluded for item in few.halo_masses)
+    assert not any(halo.excluded for halo in few.halo_masses)
     assert few.excluded_up_to is None
     assert (
         "25 accepted samples cannot exclude a halo mass at 95.45%, even if none of them has it: 80 are needed"
@@ -67,16 +67,16 @@ def test_a_fine_grid_excludes_nothing_by_its_prior_alone() -> None:
     mass = np.repeat(halos, 200)
     m = np.tile(RELICS, mass.size // 2)
     accepted = np.arange(mass.size) % 4 == 0
-    found = exclusion(m, mass, accepted, RELICS, halos)
-    item = found.halo_masses[7]
-    assert item.probability_interval[1] < LEVEL
-    assert item.ratio_interval[1] > MAX_RATIO
-    assert not any(item.excluded for item in found.halo_masses)
+    counts = exclusion(m, mass, accepted, RELICS, halos)
+    halo = counts.halo_masses[7]
+    assert halo.probability_interval[1] < LEVEL
+    assert halo.ratio_interval[1] > MAX_RATIO
+    assert not any(halo.excluded for halo in counts.halo_masses)
 
 
 def test_lost_samples_do_not_count_against_a_halo_mass() -> None:
-    found = _grid([[0, 0], [10, 10], [10, 10]], lost={(2, 0): 25, (2, 1): 25})
-    _, middle, high = found.halo_masses
+    counts = _grid([[0, 0], [10, 10], [10, 10]], lost={(2, 0): 25, (2, 1): 25})
+    _, middle, high = counts.halo_masses
     assert (middle.rate, high.rate) == (0.2, 0.4)
     assert (middle.probability, high.probability) == pytest.approx((1 / 3, 2 / 3))
     assert middle.ratio == pytest.approx(0.5)

@@ -30,34 +30,34 @@ def run(table: Table, *points: np.ndarray, rule: str = "max_rank", fraction: flo
 
 def test_every_mock_goes_through_the_procedure_of_the_observation(table: Table) -> None:
     points = np.array([[1.1, 1.2], [4.0, 4.0], [3.0, 2.5]]), np.array([[13.3], [13.2], [13.1]])
-    found = run(table, *points)
+    test = run(table, *points)
     for i in range(3):
         as_observed = dataclasses.replace(table, observed=tuple(rows[i] for rows in points))
         distances = as_observed.distances()
         chosen = accept(distances, "max_rank", 0.1, table.sample_id, np.random.default_rng(0)).accepted
-        np.testing.assert_array_equal(found.accepted[i], chosen)
+        np.testing.assert_array_equal(test.accepted[i], chosen)
         expected = weighted_quantile(table.m_kev[chosen], np.ones(60), LEVEL)
-        np.testing.assert_array_equal(found.bounds[i], expected)
+        np.testing.assert_array_equal(test.bounds[i], expected)
         percentile = cloud_check(as_observed).percentile
-        np.testing.assert_allclose(found.nearest_percentile[:, i], list(percentile.values()))
-    assert found.bounds[0, 1] < 1.3 < 2.5 < found.bounds[1, 1]
-    np.testing.assert_allclose(found.quantiles_kev, np.quantile(found.bounds[:, 1], [0.16, 0.5, 0.84]))
-    assert found.fraction_reaching(found.bounds[1, 1]) == pytest.approx(1 / 3)
-    assert found.fraction_reaching(4.9) == 0.0
+        np.testing.assert_allclose(test.nearest_percentile[:, i], list(percentile.values()))
+    assert test.bounds[0, 1] < 1.3 < 2.5 < test.bounds[1, 1]
+    np.testing.assert_allclose(test.quantiles_kev, np.quantile(test.bounds[:, 1], [0.16, 0.5, 0.84]))
+    assert test.fraction_reaching(test.bounds[1, 1]) == pytest.approx(1 / 3)
+    assert test.fraction_reaching(4.9) == 0.0
 
 
 def test_mocks_outside_the_samples_are_told_from_those_inside(table: Table) -> None:
-    found = run(table, np.array([[3.0, 3.0], [30.0, 3.0]]), np.array([[13.2], [13.2]]))
-    assert found.nearest_percentile[0, 0] < 95.0
-    assert found.nearest_percentile[0, 1] == 100.0
+    test = run(table, np.array([[3.0, 3.0], [30.0, 3.0]]), np.array([[13.2], [13.2]]))
+    assert test.nearest_percentile[0, 0] < 95.0
+    assert test.nearest_percentile[0, 1] == 100.0
 
 
 def test_a_mock_for_which_nothing_is_accepted_has_no_bound(table: Table) -> None:
     """The halo mass of the heaviest and the summary of the warmest: no sample is near in both."""
     tight = dataclasses.replace(table, features=(table.features[0], -table.features[0][:, :1]))
-    found = run(tight, np.array([[1.0, 1.0]]), np.array([[-5.0]]), rule="marginal_and", fraction=0.02)
-    assert np.isnan(found.bounds).all()
-    assert found.fraction_reaching(1.0) == 0.0
+    test = run(tight, np.array([[1.0, 1.0]]), np.array([[-5.0]]), rule="marginal_and", fraction=0.02)
+    assert np.isnan(test.bounds).all()
+    assert test.fraction_reaching(1.0) == 0.0
 
 
 def test_ranks_by_hand() -> None:

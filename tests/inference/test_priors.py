@@ -25,7 +25,7 @@ def table(n=20_000, halo=(13.0, 13.5), seed=1):
 
 
 def test_the_prior_alone_has_the_quantiles_of_each_prior():
-    samples, found = table(), reweightings(table())
+    samples, by_prior = table(), reweightings(table())
     p = 0.2
     exact = {
         "uniform_m": 1.0 + 4.0 * p,
@@ -35,15 +35,15 @@ def test_the_prior_alone_has_the_quantiles_of_each_prior():
     }
     assert set(exact) == set(MASS_PRIORS)
     for name, value in exact.items():
-        assert weighted_quantile(samples.m_kev, found[name].weights, p) == pytest.approx(value, abs=0.03)
+        assert weighted_quantile(samples.m_kev, by_prior[name].weights, p) == pytest.approx(value, abs=0.03)
 
 
 def test_halo_mass_priors_say_what_the_box_cuts_off():
-    found = reweightings(table())
-    assert found["flat_13_13.5"].warnings == ()
-    assert (found["flat_13_13.5"].weights == 1.0).all()
-    assert "16% of it lies outside" in found["normal_13.36_0.14"].warnings[0]
-    assert "91% of it lies outside" in found["normal_13.9_0.3"].warnings[0]
+    by_prior = reweightings(table())
+    assert by_prior["flat_13_13.5"].warnings == ()
+    assert (by_prior["flat_13_13.5"].weights == 1.0).all()
+    assert "16% of it lies outside" in by_prior["normal_13.36_0.14"].warnings[0]
+    assert "91% of it lies outside" in by_prior["normal_13.9_0.3"].warnings[0]
     wide = reweightings(table(halo=(12.0, 15.0)))
     assert all(wide[name].warnings == () for name in HALO_MASS_PRIORS)
     mean = np.average(table(halo=(12.0, 15.0)).log10_mass, weights=wide["normal_13.36_0.14"].weights)

@@ -16,7 +16,7 @@ def maps(seed=1, shape=(3, 14, 11)):
 def test_correlation_is_the_weighted_sum_over_pairs():
     score, fisher, valid = maps()
     geometry = PairGeometry.from_raster(valid, 0.1, 0.6)
-    found = amplitude_correlation(np.where(valid, score, np.nan), np.where(valid, fisher, np.nan), geometry)
+    correlation = amplitude_correlation(np.where(valid, score, np.nan), np.where(valid, fisher, np.nan), geometry)
     y, x = np.nonzero(valid)
     distance = np.hypot(y[:, None] - y, x[:, None] - x)
     bins = np.rint(distance).astype(int)
@@ -25,7 +25,7 @@ def test_correlation_is_the_weighted_sum_over_pairs():
         for b in range(7):
             pairs = bins == b
             expected = (np.outer(s, s) * pairs).sum() / (np.outer(f, f) * pairs).sum()
-            assert found[row, b] == pytest.approx(expected, rel=1e-9, abs=1e-12)
+            assert correlation[row, b] == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
 def test_noise_alone_has_unit_significance_and_a_signal_raises_it():
@@ -39,8 +39,8 @@ def test_noise_alone_has_unit_significance_and_a_signal_raises_it():
     expected = 1.0 + (amplitude**2 * fisher).mean()
     assert mean_square_significance(signal, fisher, valid).mean() == pytest.approx(expected, rel=0.05)
     geometry = PairGeometry.from_raster(valid, 0.1, 0.5)
-    found = amplitude_correlation(signal, fisher, geometry)[:, 1:]
-    np.testing.assert_allclose(found.mean(axis=0), (amplitude**2).mean(), rtol=0.02)
+    correlation = amplitude_correlation(signal, fisher, geometry)[:, 1:]
+    np.testing.assert_allclose(correlation.mean(axis=0), (amplitude**2).mean(), rtol=0.02)
 
 
 def test_positions_without_information_do_not_count():

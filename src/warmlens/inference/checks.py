@@ -1,4 +1,4 @@
-"""Is the observation like the simulations, and are the accepted samples like the observation?"""
+"""Check that the observation is like the simulations, and the accepted samples like the observation."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ PREDICTIVE_LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 @dataclass(frozen=True)
 class CloudCheck:
-    """Distance of the observation to its nearest sample, among the same distances of the samples themselves.
+    """Rank of the observation's distance to its nearest sample among the same distances of the samples.
 
     Attributes
     ----------
     percentile
-        For each kind of summary: percentage of samples whose nearest other sample is closer, ties counted half.
+        Per kind of summary: percentage of samples whose nearest other sample is closer, ties counted half.
     warnings
-        Loud ones, for kinds above `MAX_PERCENTILE`; also kinds that cannot tell samples apart.
+        For kinds above `MAX_PERCENTILE`, and kinds that cannot distinguish samples.
     nearest
         Distance of samples to their nearest other one [n_kinds, n_samples].
     """
@@ -34,7 +34,7 @@ class CloudCheck:
     nearest: FloatArray
 
     def percentiles(self, distances: FloatArray) -> FloatArray:
-        """Percentage of samples whose nearest other one is closer than these [n_kinds, n]; the same shape."""
+        """Return the percentage of samples whose nearest other one is closer than `distances` [n_kinds, n]."""
         others = self.nearest[:, None]
         closer, tied = (others < distances[..., None]), (others == distances[..., None])
         return 100.0 * (closer.mean(axis=-1) + 0.5 * tied.mean(axis=-1))
@@ -43,42 +43,34 @@ class CloudCheck:
 def cloud_check(table: Table) -> CloudCheck:
     """Compare the observation's nearest-neighbour distance with those of up to `MAX_ROWS` samples."""
     chosen = np.unique(np.linspace(0, table.n - 1, min(table.n, MAX_ROWS)).astype(np.int64))
-    found = []
+    batches = []
     for start in range(0, chosen.size, BATCH):
         rows = chosen[start : start + BATCH]
         between = table.distances_between(rows)
         between[:, np.arange(rows.size), rows] = np.inf
-        found.append(between.min(axis=2))
-    nearest = np.concatenate(found, axis=1)
+        batches.append(between.min(axis=2))
+    nearest = np.concatenate(batches, axis=1)
     distances = table.distances()
     check = CloudCheck({}, (), nearest)
     values = check.percentiles(distances.min(axis=1, keepdims=True))[:, 0]
     percentile, warnings = dict(zip(table.kinds, map(float, values), strict=True)), []
-    for (name, value), every in zip(percentile.items(), distances, strict=True):
+    for (name, value), of_kind in zip(percentile.items(), distances, strict=True):
         if value > MAX_PERCENTILE:
             warnings.append(
                 f"THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in {name}: it is farther from its nearest sample "
                 f"than {value:.1f}% of the samples are from theirs; no bound from this table can be trusted"
             )
-        if np.ptp(every) == 0.0:
+        if np.ptp(of_kind) == 0.0:
             warnings.append(f"all samples have the same distance in {name}: it tells nothing about them")
     return CloudCheck(percentile, tuple(warnings), nearest)
 
 
 @dataclass(frozen=True)
 class Rank:
-    """Where one number stands among others.
+    """Rank of one number among `n` others.
 
-    Attributes
-    ----------
-    observed
-        The number.
-    rank
-        Fraction of the others below it, ties counted half.
-    p_value
-        Two-sided: probability that one more of the others lies as far out, from 2 / (n + 1) to 1.
-    n
-        How many others.
+    `rank` is the fraction of the others below it, ties counted half. `p_value` is two-sided: the probability
+    that one more of the others lies as far out, from 2 / (n + 1) to 1.
     """
 
     observed: float
@@ -88,7 +80,7 @@ class Rank:
 
 
 def rank_among(values: FloatArray, observed: float) -> Rank:
-    """Rank of `observed` among values [n]."""
+    """Return the rank of `observed` among values [n]."""
     n = values.size
     below, tied = int((values < observed).sum()), int((values == observed).sum())
     tail = min(below, n - below - tied) + tied
@@ -97,19 +89,10 @@ def rank_among(values: FloatArray, observed: float) -> Rank:
 
 @dataclass(frozen=True)
 class Predictive:
-    """Summaries of the accepted samples against the observed one.
+    """Quantiles of the accepted samples' summary [n_levels, n_points] and the observed one [n_points].
 
-    Attributes
-    ----------
-    levels
-        [n_levels].
-    quantiles
-        Of the accepted samples at each point of the summary [n_levels, n_points].
-    observed
-        [n_points].
-    p_value
-        Fraction of the accepted samples whose mean distance from the other accepted ones exceeds that of the
-        observation: small if the observation stands apart from all of them.
+    `p_value` is the fraction of the accepted samples whose mean distance from the other accepted ones exceeds
+    that of the observation: small if the observation lies apart from all of them.
     """
 
     levels: FloatArray
@@ -119,17 +102,7 @@ class Predictive:
 
 
 def posterior_predictive(values: FloatArray, observed: FloatArray, accepted: BoolArray) -> Predictive:
-    """Posterior predictive distribution of one summary.
-
-    Parameters
-    ----------
-    values
-        Summary of every sample [n, n_points].
-    observed
-        [n_points].
-    accepted
-        [n].
-    """
+    """Compare one summary of the accepted of all samples [n, n_points] with the observed one [n_points]."""
     chosen = values[accepted]
     levels = np.array(PREDICTIVE_LEVELS)
     scale = chosen.std(axis=0)

@@ -1,7 +1,7 @@
-"""Several lenses: likelihood ratios multiply, posteriors do not, since the prior would count once a lens.
+"""Combine several lenses: likelihood ratios multiply; posteriors do not, as the prior would count once per lens.
 
-B(m) of a lens is marginal over its own halo mass. A density of k samples says nothing of ratios below about
-1 / k of its maximum; B is kept above that, so that no lens excludes more than its samples can show.
+B(m) of a lens is marginal over its own halo mass. A density of k samples cannot resolve ratios below about
+1 / k of its maximum. B is kept above that, so that no lens excludes more than its samples can show.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ N_TABLES = 30
 
 @dataclass(frozen=True)
 class Combined:
-    """What several lenses say together, under a uniform prior over the range that all of them cover.
+    """Posterior from several lenses under a uniform prior over the range that all of them cover.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class Combined:
     replicates
         The product for bootstrapped tables of each lens [n_bootstrap, n_grid].
     bounds_kev, mc_errors_kev, prior_only_kev
-        Quantiles of the posterior at every level of `bound.LEVELS`, their errors, and those of the prior [keV].
+        Quantiles of the posterior per level of `bound.LEVELS`, their errors, and quantiles of the prior [keV].
     """
 
     m_kev: FloatArray
@@ -45,24 +45,18 @@ class Combined:
     prior_only_kev: dict[str, float]
 
     def falls_to(self, ratio: float) -> float | None:
-        """Largest mass at which the product is down to `ratio` [keV]; None if it is not within the range."""
+        """Return the largest mass at which the product is down to `ratio` [keV]; None outside the range."""
         value = float(crossing(self.m_kev, self.ratio[None], ratio)[0])
         return None if np.isnan(value) else value
 
 
 def resolved_log_ratio(ratio: FloatArray, k: int) -> FloatArray:
-    """log B of [..., n_grid], not below 1 / k of the largest of each row."""
+    """Return log B of [..., n_grid], not below 1 / k of the largest of each row."""
     return np.log(np.maximum(ratio, ratio.max(axis=-1, keepdims=True) / k))
 
 
 def combine(lenses: Sequence[LikelihoodRatio]) -> Combined:
-    """Multiply the likelihood ratios of independent lenses.
-
-    Raises
-    ------
-    ValueError
-        If there is none, or no mass that all of them cover.
-    """
+    """Multiply the likelihood ratios of independent lenses; ValueError if no mass is covered by all of them."""
     if not lenses:
         raise ValueError("no lens to combine")
     low = max(lens.m_kev[0] for lens in lenses)
@@ -77,11 +71,8 @@ def combine(lenses: Sequence[LikelihoodRatio]) -> Combined:
         rows = resolved_log_ratio(lens.replicates[:n_replicates], lens.k)
         replicates += np.array([np.interp(grid, lens.m_kev, row) for row in rows])
     levels = np.array(list(LEVELS.values()))
-    values, scatter = (
-        posterior_quantiles(grid, total[None], levels)[0],
-        posterior_quantiles(grid, replicates, levels),
-    )
-    errors = scatter.std(axis=0, ddof=1)
+    values = posterior_quantiles(grid, total[None], levels)[0]
+    errors = posterior_quantiles(grid, replicates, levels).std(axis=0, ddof=1)
     prior = low + levels * (high - low)
     return Combined(
         grid,
@@ -94,7 +85,7 @@ def combine(lenses: Sequence[LikelihoodRatio]) -> Combined:
 
 
 def posterior_quantiles(grid: FloatArray, log_ratio: FloatArray, levels: FloatArray) -> FloatArray:
-    """Quantiles [n, n_levels] of the posterior under a uniform prior of log B [n, n_grid] on an even grid."""
+    """Return posterior quantiles [n, n_levels] under a uniform prior, of log B [n, n_grid] on an even grid."""
     density = np.exp(log_ratio - log_ratio.max(axis=1, keepdims=True))
     steps = 0.5 * (density[:, 1:] + density[:, :-1])
     cdf = np.concatenate([np.zeros((len(density), 1)), np.cumsum(steps, axis=1)], axis=1)
@@ -108,16 +99,10 @@ def posterior_quantiles(grid: FloatArray, log_ratio: FloatArray, levels: FloatAr
 
 @dataclass(frozen=True)
 class Forecast:
-    """Expected bound from lenses like this one, if dark matter is cold.
+    """Expected bound from `n_lenses` like this one, if dark matter is cold: median and central 68%.
 
-    Attributes
-    ----------
-    n_lenses, noise_factor
-        How many, and by what the noise is multiplied.
-    median_kev, low_kev, high_kev
-        Median and central 68% of the bound [keV].
-    median_error_kev
-        Standard deviation of the median over bootstrapped tables and pseudo-observations [keV].
+    `median_error_kev` is the standard deviation over bootstrapped tables and pseudo-observations. The noise of
+    the images is multiplied by `noise_factor`.
     """
 
     n_lenses: int
@@ -131,42 +116,34 @@ class Forecast:
 def forecast(
     m_kev: FloatArray, ratios: Sequence[FloatArray], k: int, level: float, rng: np.random.Generator
 ) -> tuple[Forecast, ...]:
-    """Expected bound against the number of lenses, and for one lens against its noise.
+    """Forecast the bound against the number of lenses, and for one lens against its noise; () below 10 trials.
 
     Parameters
     ----------
     m_kev
         Grid [n_grid] [keV].
     ratios
-        B(m) of leave-one-out trials with a truth above `CDM_LIKE_KEV`, each [n_trials, n_grid]: first that of the
-        table, then of bootstrapped tables, from `cold_ratios`.
+        From `cold_ratios`: B(m) of trials, [n_trials, n_grid] for the table and each bootstrapped table.
     k
         Accepted samples of a trial.
     level
-        Of the bound.
-    rng
-        Generator.
-
-    Returns
-    -------
-    forecasts
-        Empty below 10 such trials.
+        Probability below the bound.
 
     Notes
     -----
-    All trials share one table, whose chance excesses multiply with every lens: the error, of bootstrapped trials
-    of bootstrapped tables, says for how many lenses the table is large enough.
+    All trials share one table, whose chance excesses multiply with every lens. The error, of bootstrapped trials
+    of bootstrapped tables, shows for how many lenses the table is large enough.
 
-    Noise multiplied by f leaves 1 / f^2 of the information: B becomes B^(1 / f^2), exact for summaries that are
-    linear with Gaussian noise of the observation alone. The scatter of the substructure itself, which better
-    images do not lower, is scaled too: for f < 1 the forecast is what could be gained at best.
+    Noise multiplied by f leaves 1 / f^2 of the information: B becomes B^(1 / f^2). This is exact for summaries
+    that are linear with Gaussian noise of the observation alone. The scatter of the substructure itself, which
+    better images do not lower, is scaled too: for f < 1 the forecast is an upper limit of the gain.
     """
     if len(ratios[0]) < 10:
         return ()
     tables = [resolved_log_ratio(ratio, k) for ratio in ratios]
     n_trials = len(tables[0])
     cases = [(n, 1.0) for n in LENSES] + [(1, f) for f in NOISE_FACTORS if f != 1.0]
-    found = []
+    forecasts = []
     for n_lenses, factor in cases:
         bounds = []
         for i, table in enumerate(tables):
@@ -178,30 +155,16 @@ def forecast(
             bounds.append(posterior_quantiles(m_kev, total, np.array([level]))[:, 0])
         low, median, high = np.quantile(bounds[0], [0.16, 0.5, 0.84])
         error = float(np.median(bounds[1:], axis=1).std(ddof=1))
-        found.append(Forecast(n_lenses, factor, float(median), float(low), float(high), error))
-    return tuple(found)
+        forecasts.append(Forecast(n_lenses, factor, float(median), float(low), float(high), error))
+    return tuple(forecasts)
 
 
 def cold_ratios(
     table: Table, trials: LeaveOneOut, like: LikelihoodRatio, rng: np.random.Generator, n_tables: int = N_TABLES
 ) -> list[FloatArray]:
-    """B(m) of the trials with a truth above `CDM_LIKE_KEV`: of the table, then of bootstrapped tables.
+    """Return B(m) of the leave-one-out trials with a truth above `CDM_LIKE_KEV`, [n_trials, n_grid] each.
 
-    Parameters
-    ----------
-    table, trials
-        The table, and its leave-one-out trials.
-    like
-        Gives grid and bandwidth.
-    rng
-        Generator of the bootstrapped tables.
-    n_tables
-        Number of these.
-
-    Returns
-    -------
-    ratios
-        1 + n_tables arrays [n_trials, n_grid].
+    The first is of the table, the others of `n_tables` bootstrapped tables, all with grid and bandwidth of `like`.
     """
     kernels = BoundaryKernels(like.m_kev, table.m_kev, like.bandwidth_kev, table.m_range_kev)
     accepted = trials.accepted[trials.truth[:, 0] > CDM_LIKE_KEV]

@@ -1,4 +1,4 @@
-"""Distances between the summaries of two scans."""
+"""Distances D between the summaries of two scans, and points whose squared Euclidean distance is D."""
 
 from __future__ import annotations
 
@@ -11,19 +11,11 @@ from warmlens.types import FloatArray
 
 
 def correlation_distance(dr_arcsec: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """d1: integral over dr of (C1 - C2)^2, from 0 to the last bin (2.5" by default), by the trapezoid rule.
+    """Integrate (C1 - C2)^2 over dr, from 0 to the last bin (2.5" by default), by the trapezoid rule: d1.
 
-    Parameters
-    ----------
-    dr_arcsec
-        Bin centres [arcsec], ascending [n_dr].
-    first, second
-        C(dr), [..., n_dr]; leading axes broadcast.
-
-    Returns
-    -------
-    distance
-        [...], in units of Delta R^4 arcsec.
+    C(dr) are [..., n_dr] at ascending `dr_arcsec` [n_dr]; leading axes broadcast. The distance has units of
+    Delta R^4 arcsec. abc.csv reports it; the acceptance cuts on the same D, equal up to rounding, between the
+    points of `integral_features`.
 
     Reference: Birrer+2017, eq. of D(C1, C2) in sec. 4.2.
     """
@@ -31,14 +23,10 @@ def correlation_distance(dr_arcsec: FloatArray, first: FloatArray, second: Float
 
 
 def cumulative_distance(thresholds: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """d2: integral over Delta R of (N1 - N2)^2 over the grid of thresholds, by the trapezoid rule.
+    """Integrate (N1 - N2)^2 over the thresholds in Delta R by the trapezoid rule: d2.
 
-    Parameters
-    ----------
-    thresholds
-        Delta R, ascending [n_thresholds].
-    first, second
-        N(< Delta R), [..., n_thresholds]; leading axes broadcast.
+    N(< Delta R) are [..., n_thresholds] at ascending `thresholds`; leading axes broadcast. abc.csv reports it;
+    the acceptance cuts on the same D, equal up to rounding, between the points of `integral_features`.
 
     Reference: the paper uses the cumulative distribution without defining its distance; to take the form of
     d1 is this project's choice.
@@ -49,7 +37,7 @@ def cumulative_distance(thresholds: FloatArray, first: FloatArray, second: Float
 def _integrated_squared_difference(
     name: str, grid: FloatArray, first: FloatArray, second: FloatArray
 ) -> FloatArray:
-    """Trapezoid integral of (first - second)^2 over the last axis."""
+    """Integrate (first - second)^2 over the last axis by the trapezoid rule."""
     if grid.ndim != 1 or grid.size < 2 or not (np.diff(grid) > 0.0).all():
         raise ValueError(f"the grid of the {name} must be 1-D, strictly ascending, with at least 2 points")
     for label, summary in (("first", first), ("second", second)):
@@ -64,25 +52,21 @@ def _integrated_squared_difference(
 
 
 def integral_features(grid: FloatArray, values: FloatArray) -> FloatArray:
-    """Points whose squared Euclidean distance is the integral of the squared difference by the trapezoid rule.
+    """Turn summaries [..., n_grid] on an ascending grid into points of the same shape, to cut on.
 
-    Parameters
-    ----------
-    grid
-        Ascending [n_grid].
-    values
-        Summaries on the grid [..., n_grid]; the result has that shape.
+    The squared Euclidean distance of two points is, up to rounding, the D that `correlation_distance` and
+    `cumulative_distance` compute for abc.csv: the trapezoid integral of the squared difference.
     """
     return values * np.sqrt(np.trapezoid(np.eye(grid.size), grid, axis=1))
 
 
 def squared_distances(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Squared Euclidean distance of every point of [n, p] to every point of [m, p], [n, m]."""
+    """Return the squared Euclidean distance [n, m] of every point of [n, p] to every point of [m, p]."""
     return cdist(first, second, "sqeuclidean")
 
 
 def ledoit_wolf(rows: FloatArray) -> tuple[FloatArray, float]:
-    """Covariance of rows [n, p], shrunk towards a multiple of the unit matrix; with the intensity in [0, 1].
+    """Return the covariance of rows [n, p] shrunk to a multiple of the unit matrix, and the shrinkage in [0, 1].
 
     Reference: Ledoit & Wolf 2004, J. Multivariate Anal. 88, 365, eqs. 14-15.
     """
@@ -99,10 +83,10 @@ def ledoit_wolf(rows: FloatArray) -> tuple[FloatArray, float]:
 
 
 def whitening(rows: FloatArray, observed: FloatArray) -> Callable[[FloatArray], FloatArray]:
-    """Change of [..., p] to coordinates in which the covariance of rows [n, p], Ledoit-Wolf shrunk, is 1.
+    """Return the map of [..., p] to coordinates in which the Ledoit-Wolf covariance of rows [n, p] is 1.
 
-    Columns that are the same in every row and in the observation [p] carry nothing and are left out; one that
-    only the observation breaks is kept, and the shrinkage sets its scale.
+    Columns that are the same in every row and in the observation [p] are left out. A column that differs in the
+    observation only is kept, and the shrinkage sets its scale.
     """
     varying = (np.ptp(rows, axis=0) > 0.0) | (observed != rows[0])
     if not np.ptp(rows, axis=0).any():

@@ -1,7 +1,7 @@
-"""Which halo masses of a grid the accepted samples leave standing: counts on its nodes, with their errors.
+"""Exclude halo masses of a grid by the counts of accepted samples on its nodes, with their errors.
 
-A grid is no draw from the prior: a quantile of the accepted samples would follow the spacing of the nodes. What
-it does give is the fraction accepted at each node, which is the likelihood of the node up to a factor.
+A grid is no draw from the prior: a quantile of the accepted samples would follow the spacing of the nodes. The
+fraction accepted at each node is the likelihood of the node up to a factor.
 """
 
 from __future__ import annotations
@@ -24,16 +24,10 @@ class HaloMass:
 
     Attributes
     ----------
-    log10_m_halo_msun
-        log10 of the halo mass [Msun].
-    n_samples, n_accepted
-        Its samples, and how many of them are accepted.
     rate, rate_interval
         Fraction accepted, with its Clopper-Pearson interval.
     probability, probability_interval
         Posterior probability under a uniform prior on the nodes.
-    prior_probability
-        What the prior alone gives.
     cumulative, cumulative_interval
         Posterior probability of this and all lower halo masses of the grid.
     ratio, ratio_interval
@@ -58,23 +52,13 @@ class HaloMass:
 
     @property
     def excluded_at(self) -> float:
-        """Probability with which it is excluded at least, counting errors included."""
+        """Smallest probability of the exclusion, counting errors included."""
         return 1.0 - self.probability_interval[1]
 
 
 @dataclass(frozen=True)
 class Exclusion:
-    """What the accepted samples of a grid say.
-
-    Attributes
-    ----------
-    n_samples, n_accepted
-        At each node [n_halo_masses, n_relic_masses].
-    halo_masses
-        In ascending order.
-    warnings
-        What a reader has to know before quoting an exclusion.
-    """
+    """Counts at each node [n_halo_masses, n_relic_masses], and the halo masses in ascending order."""
 
     n_samples: IntArray
     n_accepted: IntArray
@@ -85,10 +69,10 @@ class Exclusion:
     def excluded_up_to(self) -> HaloMass | None:
         """Highest halo mass that is excluded with all lower ones, each and together; None if there is none."""
         last = None
-        for item in self.halo_masses:
-            if not (item.excluded and item.cumulative_interval[1] <= LEVEL):
+        for halo_mass in self.halo_masses:
+            if not (halo_mass.excluded and halo_mass.cumulative_interval[1] <= LEVEL):
                 break
-            last = item
+            last = halo_mass
         return last
 
 
@@ -163,9 +147,9 @@ def _halo_mass(i: int, nodes: FloatArray, sizes: IntArray, counts: IntArray) -> 
 
 
 def _probability(chosen: BoolArray, sizes: IntArray, counts: IntArray) -> tuple[float, tuple[float, float]]:
-    """Posterior probability of some halo masses, each as probable as the others before, and its interval.
+    """Return the posterior probability of some halo masses under equal prior probabilities, and its interval.
 
-    With equally many samples at each it is the fraction of the accepted ones; failed samples make it uneven.
+    It is the fraction of the accepted samples if all masses have equally many; failed samples make them uneven.
     """
     if chosen.all():
         return 1.0, (1.0, 1.0)
@@ -182,14 +166,14 @@ def _probability(chosen: BoolArray, sizes: IntArray, counts: IntArray) -> tuple[
 
 
 def _size(sizes: IntArray, counts: IntArray) -> float:
-    """Samples a halo mass, averaged as the accepted samples weigh them."""
+    """Return the samples per halo mass, averaged with the accepted samples as weights."""
     if not counts.any():
         return float(sizes.mean())
     return float(counts.sum() / (counts / sizes).sum())
 
 
 def _ratio(i: int, best: int, sizes: IntArray, counts: IntArray) -> tuple[float, tuple[float, float]]:
-    """Likelihood of halo mass i over that of the best one, and its interval."""
+    """Return the likelihood of halo mass i over that of the best one, and its interval."""
     if i == best:
         return 1.0, (1.0, 1.0)
     total = int(counts[i] + counts[best])
@@ -199,17 +183,17 @@ def _ratio(i: int, best: int, sizes: IntArray, counts: IntArray) -> tuple[float,
 
 
 def _warnings(counts: IntArray, sizes: IntArray, nodes: FloatArray) -> tuple[str, ...]:
-    found = []
+    warnings = []
     k, level = int(counts.sum()), f"{100 * (1 - LEVEL):.2f}%"
     if k < MIN_FOR_BOUND:
-        found.append(f"only {k} samples are accepted (fewer than {MIN_FOR_BOUND})")
+        warnings.append(f"only {k} samples are accepted (fewer than {MIN_FOR_BOUND})")
     needed = int(np.ceil(np.log(0.5 * (1.0 - CONFIDENCE)) / np.log1p(-LEVEL)))
     if k < needed:
-        found.append(
+        warnings.append(
             f"{k} accepted samples cannot exclude a halo mass at {level}, even if none of them has it: {needed} "
             "are needed; raise abc.fraction or campaign.grid.realizations"
         )
     best = int(np.argmax(counts / sizes))
     if best in (0, sizes.size - 1):
-        found.append(f"the best halo mass, 10^{nodes[best]:g} Msun, is at the edge of the grid")
-    return tuple(found)
+        warnings.append(f"the best halo mass, 10^{nodes[best]:g} Msun, is at the edge of the grid")
+    return tuple(warnings)

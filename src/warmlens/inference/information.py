@@ -1,4 +1,4 @@
-"""How much a summary set tells about the relic mass: information over the prior, and the expected bound."""
+"""Measure what a summary set is worth: information on the relic mass over the prior, and expected bound."""
 
 from __future__ import annotations
 
@@ -17,12 +17,10 @@ N_PERMUTATIONS = 40
 
 @dataclass(frozen=True)
 class Information:
-    """What a summary set is worth, over pseudo-observations from the prior.
+    """Worth of a summary set over `n` pseudo-observations from the prior.
 
     Attributes
     ----------
-    n
-        Pseudo-observations.
     gain_nats, gain_error_nats
         Mean Kullback-Leibler divergence of the posterior of m from the prior [nat], and its error: of the
         pseudo-observations, and of the one table that they share, by chance alone.
@@ -38,7 +36,7 @@ class Information:
 
 
 def divergences(m_kev: FloatArray, accepted: BoolArray, m_range_kev: Range, n_bins: int = N_BINS) -> FloatArray:
-    """KL divergence from the uniform prior of the accepted masses, of each of [n_rows, n] selections [nat].
+    """Return the KL divergence from the uniform prior of the accepted masses, per selection of [n_rows, n] [nat].
 
     Entropy of a histogram of `n_bins` equal bins with the bias correction of Miller (1955), (bins - 1) / 2k:
     without information the mean is 0, single values may be below.
@@ -55,10 +53,10 @@ def divergences(m_kev: FloatArray, accepted: BoolArray, m_range_kev: Range, n_bi
 def information(
     m_kev: FloatArray, m_range_kev: Range, trials: LeaveOneOut, rng: np.random.Generator
 ) -> Information:
-    """Information gain and expected bound from leave-one-out trials on one table.
+    """Return information gain and expected bound from leave-one-out trials on one table.
 
-    Pseudo-observations accept overlapping parts of one table: what its chance excesses do to their mean is the
-    scatter of that mean when the masses are dealt to the rows at random.
+    Pseudo-observations accept overlapping parts of one table. The effect of its chance excesses on their mean is
+    the scatter of that mean when the masses are permuted among the rows.
     """
     some = trials.accepted.any(axis=1)
     accepted = trials.accepted[some]

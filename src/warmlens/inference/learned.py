@@ -1,7 +1,7 @@
-"""Learned summaries: the posterior mean of each parameter, regressed on all summaries.
+"""Learn summaries: the posterior mean of each parameter, regressed on all summaries.
 
-Reference: Fearnhead & Prangle 2012, JRSS B 74, 419: the posterior mean is the summary that loses least; here it
-is a ridge regression on the table itself, cross-fitted, so that no sample meets a model that was trained on it.
+The posterior mean is the summary that loses least (Fearnhead & Prangle 2012, JRSS B 74, 419). Here it is a
+ridge regression on the table itself, cross-fitted: no sample is predicted by a model that was trained on it.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MIN_SAMPLES = 50
 
 @dataclass(frozen=True)
 class LearnedSummaries:
-    """One learned summary a parameter.
+    """One learned summary per parameter.
 
     Attributes
     ----------
@@ -51,19 +51,10 @@ def learned_summaries(
     Parameters
     ----------
     parameters
-        [n, n_parameters].
+        [n, n_parameters]; ValueError below `MIN_SAMPLES` samples.
     features, observed
         Summaries of the samples [n, n_features] and of the observation, or of several [..., n_features]. They
         enter as asinh(x / rms), which tames their tails, standardised.
-    rng
-        Generator of the folds.
-    n_folds
-        Number of folds.
-
-    Raises
-    ------
-    ValueError
-        Below `MIN_SAMPLES` samples.
     """
     n = len(parameters)
     if n < MIN_SAMPLES:
@@ -72,7 +63,7 @@ def learned_summaries(
     fold = rng.permutation(np.arange(n) % n_folds)
     predictions = np.empty((PENALTIES.size, *parameters.shape))
     of_observed = np.zeros((PENALTIES.size, len(x_observed), parameters.shape[1]))
-    mean = parameters.mean(axis=0)  # the same for all: a constant of each fold would tell the folds apart
+    mean = parameters.mean(axis=0)  # the same for all: a constant per fold would distinguish the folds
     for i in range(n_folds):
         train, test = fold != i, fold == i
         centred = x[train] - x[train].mean(axis=0)
@@ -94,7 +85,7 @@ def learned_summaries(
 
 
 def _standardised(features: FloatArray, observed: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Transformed features with mean 0 and variance 1 over the samples; constant ones are left out."""
+    """Return the features transformed to mean 0 and variance 1 over the samples, without constant ones."""
     used = np.ptp(features, axis=0) > 0.0
     if not used.any():
         return np.zeros((len(features), 1)), np.zeros((len(observed), 1))

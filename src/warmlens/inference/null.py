@@ -1,4 +1,4 @@
-"""Null test: what the procedure says of mocks without substructure."""
+"""Null test: the bounds that the procedure draws from mocks without substructure."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class NullTest:
     Attributes
     ----------
     accepted
-        What was accepted for each [n_mocks, n].
+        [n_mocks, n].
     bounds
-        Quantiles of the accepted relic masses at every level of `LEVELS` [n_mocks, n_levels] [keV]; NaN where
-        the rule accepts nothing.
+        Quantiles of the accepted relic masses per level of `LEVELS` [n_mocks, n_levels] [keV]; NaN where the
+        rule accepts nothing.
     nearest_percentile
-        Of each kind: percentage of samples that are closer to their nearest other one than the mock is to its
-        nearest sample [n_kinds, n_mocks].
+        Percentage of samples that are closer to their nearest other one than the mock is to its nearest sample
+        [n_kinds, n_mocks].
     """
 
     accepted: BoolArray
@@ -54,21 +54,7 @@ def null_test(
     fraction: float,
     rng: np.random.Generator,
 ) -> NullTest:
-    """Let mocks play the observation against the table.
-
-    Parameters
-    ----------
-    table
-        Its own observation plays no part.
-    mocks
-        Their points, of each kind of the table [n_mocks, n_features].
-    cloud
-        From `cloud_check` on the table.
-    rule, fraction
-        Those of the inference.
-    rng
-        Generator of tie-breaking.
-    """
+    """Apply the acceptance to mocks, points of each kind [n_mocks, n_features], in place of the observation."""
     distances = table.distances_from(mocks)
     n_mocks = distances.shape[1]
     accepted = np.array(

@@ -1,4 +1,4 @@
-"""Other priors on the same table, as weights of its samples, which were drawn from a uniform prior."""
+"""Apply other priors to a table by weights of its samples, which were drawn from a uniform prior."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import scipy  # and of it what is used, when it is used: scipy.stats takes a second to load
+import scipy  # scipy.stats takes 1 s to import; scipy loads it on first use
 
 from warmlens.inference.table import Range, Table
 from warmlens.types import FloatArray
@@ -25,26 +25,20 @@ MASS_PRIORS: dict[str, Callable[[FloatArray], FloatArray]] = {
 
 @dataclass(frozen=True)
 class HaloMassPrior:
-    """Prior of log10(M / Msun): normal, or flat between two edges.
-
-    Attributes
-    ----------
-    mean, sigma
-        Of the normal [dex]; the two edges if `flat`.
-    """
+    """Prior of log10(M / Msun): normal with `mean` and `sigma` [dex], or flat between these two as edges."""
 
     mean: float
     sigma: float
     flat: bool = False
 
     def density(self, log10_mass: FloatArray) -> FloatArray:
-        """Density up to a factor, the shape of `log10_mass`."""
+        """Return the density up to a factor, in the shape of `log10_mass`."""
         if self.flat:
             return ((log10_mass >= self.mean) & (log10_mass <= self.sigma)).astype(np.float64)
         return scipy.stats.norm.pdf(log10_mass, self.mean, self.sigma)
 
     def outside(self, box: Range) -> float:
-        """Probability of this prior outside the box of the samples."""
+        """Return the probability of this prior outside the box of the samples."""
         if self.flat:
             inside = min(self.sigma, box[1]) - max(self.mean, box[0])
             return 1.0 - max(inside, 0.0) / (self.sigma - self.mean)
@@ -61,18 +55,18 @@ HALO_MASS_PRIORS = {
 
 @dataclass(frozen=True)
 class Reweighting:
-    """Weights of the samples under another prior [n], largest 1, and what to know before using them."""
+    """Weights of the samples under another prior [n], largest 1, and warnings."""
 
     weights: FloatArray
     warnings: tuple[str, ...]
 
 
 def reweightings(table: Table) -> dict[str, Reweighting]:
-    """Weights of every prior of `MASS_PRIORS` and `HALO_MASS_PRIORS`; the other parameter stays uniform."""
-    found = {}
+    """Return weights per prior of `MASS_PRIORS` and `HALO_MASS_PRIORS`; the other parameter stays uniform."""
+    by_name = {}
     for name, density in MASS_PRIORS.items():
         weights = density(table.m_kev)
-        found[name] = Reweighting(weights / weights.max(), ())
+        by_name[name] = Reweighting(weights / weights.max(), ())
     low, high = box = table.log10_mass_range
     for name, prior in HALO_MASS_PRIORS.items():
         weights = prior.density(table.log10_mass)
@@ -83,5 +77,5 @@ def reweightings(table: Table) -> dict[str, Reweighting]:
                 f"prior {name}: {outside:.0%} of it lies outside the sampled halo masses [{low:g}, {high:g}] and "
                 "is cut off; widen dark_matter.log10_m_halo_msun"
             )
-        found[name] = Reweighting(weights / max(weights.max(), np.finfo(float).tiny), tuple(warnings))
-    return found
+        by_name[name] = Reweighting(weights / max(weights.max(), np.finfo(float).tiny), tuple(warnings))
+    return by_name

@@ -1,4 +1,4 @@
-"""Sets of summaries on one and the same table: which distances they cut on, and what each is worth.
+"""Sets of summaries on one table: which distances they cut on, and what each is worth.
 
 paper
     C(dr) and the cumulative distribution, each with its own distance (Birrer+2017); `correlation` and
@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -43,101 +44,82 @@ Streams = Callable[[str], np.random.Generator]
 
 @dataclass(frozen=True)
 class Summary:
-    """One summary, of everything that is compared.
-
-    Attributes
-    ----------
-    samples, observed, null
-        Of the samples [n, ...], of the observation [...], of the null test's mocks [n_mocks, ...].
-    """
+    """One summary of the samples [n, ...], the observation [...] and the null test's mocks [n_mocks, ...]."""
 
     samples: FloatArray
     observed: FloatArray
     null: FloatArray
 
     def each(self, change: Callable[[FloatArray], FloatArray]) -> Summary:
-        """The same with all three arrays changed."""
+        """Return the summary with `change` applied to all three arrays."""
         return Summary(change(self.samples), change(self.observed), change(self.null))
 
 
 def side_by_side(summaries: Mapping[str, Summary], names: tuple[str, ...]) -> Summary:
-    """Several summaries as one: [n, p], [p] and [n_mocks, p]."""
+    """Join several summaries into one: [n, p], [p] and [n_mocks, p]."""
     flat = [_flat(summaries[name]) for name in names]
     return Summary(
-        np.hstack([item.samples for item in flat]),
-        np.hstack([item.observed for item in flat]),
-        np.hstack([item.null for item in flat]),
+        np.hstack([summary.samples for summary in flat]),
+        np.hstack([summary.observed for summary in flat]),
+        np.hstack([summary.null for summary in flat]),
     )
 
 
-def _flat(item: Summary) -> Summary:
-    """A summary of any shape as numbers in a row."""
-    shape, size = item.observed.shape, item.observed.size
-    return item.each(lambda values: values.reshape(*values.shape[: values.ndim - len(shape)], size))
+def _flat(summary: Summary) -> Summary:
+    """Flatten the axes of the summary itself into one."""
+    shape, size = summary.observed.shape, summary.observed.size
+    return summary.each(lambda values: values.reshape(*values.shape[: values.ndim - len(shape)], size))
 
 
 def points(summaries: Mapping[str, Summary], grids: Mapping[str, FloatArray], distance: str) -> dict[str, Summary]:
-    """Points whose squared distance is D, of the kinds that the summaries have.
+    """Return points whose squared distance is D, for each kind that the summaries have.
 
     Parameters
     ----------
     summaries
         By name: those of `PAPER` and `COUNTS`, and of `RESPONSE` if there are any.
     grids
-        On which those of `PAPER` are taken.
+        Grids of the summaries of `PAPER`.
     distance
-        Of these: "integral" of the squared difference, or "whitened". The others are whitened always.
+        Of those of `PAPER`: "integral" of the squared difference, or "whitened". The others are always whitened.
     """
-    found = {}
+    points_of = {}
     for name in PAPER:
-        item = summaries[name]
+        summary = summaries[name]
         if distance == "whitened":
-            found[name] = item.each(whitening(item.samples, item.observed))
+            points_of[name] = summary.each(whitening(summary.samples, summary.observed))
         else:
-            found[name] = item.each(lambda values, grid=grids[name]: integral_features(grid, values))  # type: ignore[misc]
+            points_of[name] = summary.each(partial(integral_features, grids[name]))
     kinds = {"counts": COUNTS} | ({"response": RESPONSE} if RESPONSE[0] in summaries else {})
     for name, parts in kinds.items():
-        item = side_by_side(summaries, parts)
-        found[name] = item.each(whitening(item.samples, item.observed))
-    return found
+        summary = side_by_side(summaries, parts)
+        points_of[name] = summary.each(whitening(summary.samples, summary.observed))
+    return points_of
 
 
 def learned_points(
     parameters: FloatArray, summaries: Mapping[str, Summary], rng: np.random.Generator
 ) -> tuple[dict[str, Summary], LearnedSummaries]:
-    """Points of `LEARNED` from parameters [n, 2] and all summaries; with what was learned.
-
-    Raises
-    ------
-    ValueError
-        If there are too few samples to learn from.
-    """
-    item = side_by_side(summaries, tuple(summaries))
-    learned = learned_summaries(parameters, item.samples, np.vstack([item.observed, item.null]), rng)
-    found = {
+    """Return points of `LEARNED` from parameters [n, 2] and all summaries, and the regression that gave them."""
+    joined = side_by_side(summaries, tuple(summaries))
+    learned = learned_summaries(parameters, joined.samples, np.vstack([joined.observed, joined.null]), rng)
+    points_of = {
         name: Summary(learned.samples[:, [i]], learned.observed[0, [i]], learned.observed[1:, [i]])
         for i, name in enumerate(LEARNED)
     }
-    return found, learned
+    return points_of, learned
 
 
-def kinds_of(name: str, known: Mapping[str, Summary]) -> tuple[str, ...]:
-    """Kinds of summaries that set `name` cuts on, of those that are known."""
-    return tuple(kind for kind in SETS[name] if kind in known)
+def kinds_of(name: str, available: Mapping[str, Summary]) -> tuple[str, ...]:
+    """Return the available kinds of summaries that set `name` cuts on."""
+    return tuple(kind for kind in SETS[name] if kind in available)
 
 
 @dataclass(frozen=True)
 class SummarySet:
-    """What a set of summaries is worth on the table.
+    """Worth of a set of summaries on the table, with the headline bound of the observation.
 
-    Attributes
-    ----------
-    kinds
-        What it cuts on.
-    gain
-        Information over the prior and expected bound, over the same pseudo-observations for every set.
-    bound
-        The headline bound of the observation with this set.
+    `gain` is over the same pseudo-observations for every set.
     """
 
     kinds: tuple[str, ...]
@@ -146,18 +128,9 @@ class SummarySet:
 
 
 def summary_set(table: Table, fraction: float, n_bootstrap: int, n_rows: int, streams: Streams) -> SummarySet:
-    """Worth of the summaries of a table by max-rank acceptance.
+    """Measure the worth of the summaries of a table by max-rank acceptance, with `n_rows` pseudo-observations.
 
-    Parameters
-    ----------
-    table
-        With this set's kinds.
-    fraction, n_bootstrap
-        Of the acceptance, and of the bounds' errors.
-    n_rows
-        Pseudo-observations.
-    streams
-        A generator for each name; the same name gives the same numbers, so that sets can be compared.
+    `streams` gives a generator per name; the same name gives the same numbers, so that sets can be compared.
     """
     distances = table.distances()
     accepted = accept(distances, "max_rank", fraction, table.sample_id, streams("ties"))

@@ -21,14 +21,14 @@ BATCH_ELEMENTS = 2_000_000
 
 @dataclass(frozen=True)
 class PairGeometry:
-    """Which pairs of raster positions fall into which bin of separation; made once by `from_raster`.
+    """Pairs of raster positions per bin of separation; made once by `from_raster`.
 
     Attributes
     ----------
     valid
         Positions that take part [ny, nx].
     step_arcsec
-        Distance between neighbouring positions [arcsec].
+        Separation of neighbouring positions.
     dr_arcsec
         Nominal separation of each bin [arcsec], [n_dr]: bin 0 is a position with itself, bin b holds the
         separations within half a bin width of b widths (and bin 1 also all shorter ones).
@@ -62,8 +62,6 @@ class PairGeometry:
         ----------
         valid
             Positions that take part [ny, nx].
-        step_arcsec
-            Distance between neighbouring positions [arcsec].
         max_dr_arcsec
             Separation of the last bin [arcsec], rounded to a whole number of bins; the paper's 2.5".
         bin_width_arcsec
@@ -101,22 +99,16 @@ class PairGeometry:
 
 
 def correlation_function(delta_r: FloatArray, geometry: PairGeometry, threshold: float = THRESHOLD) -> FloatArray:
-    """C(dr) of one or many scan maps.
+    """Compute C(dr) of one or many scan maps, [..., n_dr] at `geometry.dr_arcsec`; never negative.
+
+    C(dr) = (sum of R(r) R(r + dr) over the valid pairs of the bin) / (number of those pairs).
 
     Parameters
     ----------
     delta_r
         Relative excess distance Delta R, [..., ny, nx]; its value where a position is not valid is ignored.
-    geometry
-        The pairs, from `PairGeometry.from_raster` for this raster.
     threshold
         Only Delta R below it counts (must be <= 0); the paper's -4.
-
-    Returns
-    -------
-    correlation
-        C(dr) = (sum of R(r) R(r + dr) over the valid pairs of the bin) / (number of those pairs),
-        [..., n_dr] at `geometry.dr_arcsec`; never negative.
 
     Reference: Birrer+2017 sec. 4.2.
     """
@@ -126,15 +118,7 @@ def correlation_function(delta_r: FloatArray, geometry: PairGeometry, threshold:
 
 
 def lagged_sums(maps: FloatArray, geometry: PairGeometry) -> FloatArray:
-    """Sum of the products over the pairs of each bin, [..., n_dr].
-
-    Parameters
-    ----------
-    maps
-        [..., ny, nx], finite, 0 where a position takes no part.
-    geometry
-        The pairs.
-    """
+    """Sum the products over the pairs per bin, [..., n_dr], of finite maps [..., ny, nx], 0 where not valid."""
     flat = maps.reshape(-1, *geometry.valid.shape)
     result = np.empty((flat.shape[0], geometry.counts.size))
     batch = max(1, BATCH_ELEMENTS // geometry.valid.size)
@@ -145,7 +129,7 @@ def lagged_sums(maps: FloatArray, geometry: PairGeometry) -> FloatArray:
 
 
 def excess_residuals(delta_r: FloatArray, valid: BoolArray, threshold: float = THRESHOLD) -> FloatArray:
-    """R = Delta R where that is valid and below the threshold, 0 elsewhere, [..., ny, nx]."""
+    """Return R = Delta R where that is valid and below the threshold, 0 elsewhere, [..., ny, nx]."""
     if delta_r.shape[-2:] != valid.shape:
         raise ValueError(f"delta_r has shape {delta_r.shape}, the raster {valid.shape}")
     if not threshold <= 0.0:
@@ -157,7 +141,7 @@ def excess_residuals(delta_r: FloatArray, valid: BoolArray, threshold: float = T
 
 
 def _autocorrelation(maps: FloatArray, lag_rows: IntArray, lag_columns: IntArray) -> FloatArray:
-    """Sum over r of R(r) R(r + lag) of maps [n, ny, nx] at the lags, [n, n_lag]; zero-padded, by FFT."""
+    """Sum R(r) R(r + lag) over r for maps [n, ny, nx] at the lags, [n, n_lag]; by zero-padded FFT."""
     ny, nx = maps.shape[-2:]
     shape = (
         next_fast_len(ny + int(np.abs(lag_rows).max()), real=True),

@@ -14,7 +14,7 @@ N_THRESHOLDS = 73
 def threshold_grid(
     deepest: float = DEEPEST, shallowest: float = SHALLOWEST, n_thresholds: int = N_THRESHOLDS
 ) -> FloatArray:
-    """Evenly spaced thresholds in Delta R, ascending [n_thresholds]; by default -40 to -4 in steps of 0.5.
+    """Return evenly spaced thresholds in Delta R, ascending [n_thresholds]; by default -40 to -4 in steps of 0.5.
 
     Choice: the paper gives no grid. Anomalies deeper than the deepest threshold still count at every one.
     """
@@ -27,21 +27,9 @@ def threshold_grid(
 
 
 def counts_below(delta_r: FloatArray, valid: BoolArray, thresholds: FloatArray) -> IntArray:
-    """Number of valid positions with Delta R below each threshold.
+    """Count the valid positions [ny, nx] with Delta R [..., ny, nx] below each ascending threshold.
 
-    Parameters
-    ----------
-    delta_r
-        Relative excess distance Delta R, [..., ny, nx]; its value where a position is not valid is ignored.
-    valid
-        Positions that take part [ny, nx].
-    thresholds
-        Ascending [n_thresholds].
-
-    Returns
-    -------
-    counts
-        [..., n_thresholds].
+    Returns [..., n_thresholds]. The value of Delta R where a position is not valid is ignored.
     """
     if delta_r.shape[-2:] != valid.shape:
         raise ValueError(f"delta_r has shape {delta_r.shape}, the raster {valid.shape}")
@@ -59,9 +47,7 @@ def counts_below(delta_r: FloatArray, valid: BoolArray, thresholds: FloatArray) 
 
 
 def cumulative_distribution(delta_r: FloatArray, valid: BoolArray, thresholds: FloatArray) -> FloatArray:
-    """N(< Delta R): the fraction of valid positions with Delta R below each threshold, [..., n_thresholds].
-
-    Parameters as in `counts_below`.
+    """Return N(< Delta R), the fraction of valid positions below each threshold, [..., n_thresholds].
 
     Reference: Birrer+2017 sec. 5 names the cumulative distribution and does not define it; this one, over
     Delta R < -4, is this project's choice.

@@ -14,19 +14,9 @@ from warmlens.types import BoolArray, FloatArray
 
 
 def mean_square_significance(score: FloatArray, fisher: FloatArray, valid: BoolArray) -> FloatArray:
-    """Mean of z^2 = s^2 / F over the positions with information; 1 in the mean for noise alone.
+    """Average z^2 = s^2 / F over the valid positions with information, [...]; 1 in the mean for noise alone.
 
-    Parameters
-    ----------
-    score, fisher
-        [..., ny, nx]; bands add up before.
-    valid
-        Positions that take part [ny, nx].
-
-    Returns
-    -------
-    mean
-        [...].
+    Score and Fisher information are [..., ny, nx], already summed over the bands.
     """
     s, f = _clean(score, fisher, valid)
     informed = f > 0.0
@@ -38,31 +28,22 @@ def mean_square_significance(score: FloatArray, fisher: FloatArray, valid: BoolA
 
 
 def amplitude_correlation(score: FloatArray, fisher: FloatArray, geometry: PairGeometry) -> FloatArray:
-    """Correlation function of the amplitude, every pair weighted by the sensitivity of both positions.
+    """Correlate the amplitude, every pair weighted by the sensitivity of both positions.
 
     C(dr) = sum w w' a a' / sum w w' over the pairs of the bin, with a = s / F and w = F the inverse variance:
     sum s s' / sum F F', which is finite where F is 0. Bin 0 holds the variance of the noise too, 1 / F.
 
-    Parameters
-    ----------
-    score, fisher
-        [..., ny, nx]; bands add up before.
-    geometry
-        The pairs, from `PairGeometry.from_raster`.
-
-    Returns
-    -------
-    correlation
-        In units of the perturber's amplitude squared, [..., n_dr]; 0 for bins without information.
+    Score and Fisher information are [..., ny, nx], already summed over the bands. The correlation [..., n_dr] is
+    in units of the perturber's amplitude squared; 0 for bins without information.
     """
     s, f = _clean(score, fisher, geometry.valid)
     weights = np.maximum(lagged_sums(f, geometry), 0.0)  # F >= 0: what is negative is rounding
-    known = weights > 1e-12 * weights[..., :1]
-    return np.divide(lagged_sums(s, geometry), weights, out=np.zeros_like(weights), where=known)
+    informed = weights > 1e-12 * weights[..., :1]
+    return np.divide(lagged_sums(s, geometry), weights, out=np.zeros_like(weights), where=informed)
 
 
 def _clean(score: FloatArray, fisher: FloatArray, valid: BoolArray) -> tuple[FloatArray, FloatArray]:
-    """Both maps, 0 where not valid; refuses what is not finite or negative information."""
+    """Return both maps, 0 where not valid; refuse values that are not finite and negative information."""
     if score.shape != fisher.shape or score.shape[-2:] != valid.shape:
         raise ValueError(f"score has shape {score.shape}, fisher {fisher.shape}, the raster {valid.shape}")
     s, f = np.where(valid, score, 0.0), np.where(valid, fisher, 0.0)
