@@ -29,26 +29,13 @@ RULES = (*JOINT_RULES, *KINDS)
 
 @dataclass(frozen=True)
 class Acceptance:
-    """The accepted rows of a table of n samples, by one of the `RULES`.
+    """The accepted rows of a table of n samples, by one of the `RULES`."""
 
-    Attributes
-    ----------
-    accepted
-        True for the accepted rows [n].
-    max_rank
-        r_j, the largest rank of row j over the kinds of distance (1 is closest) [n].
-    fraction
-        Requested fraction.
-    n_tied
-        Rows with the score at the cut, if only some of them are accepted; 0 otherwise.
-    implied_quantile
-        Common quantile of all distances below which the accepted rows lie: the largest accepted r_j / n.
-    """
-
-    accepted: BoolArray
-    max_rank: IntArray
-    fraction: float
-    n_tied: int
+    accepted: BoolArray  # True for the accepted rows [n]
+    max_rank: IntArray  # r_j, the largest rank of row j over the kinds of distance (1 is closest) [n]
+    fraction: float  # requested fraction
+    n_tied: int  # rows with the score at the cut, if only some of them are accepted; 0 otherwise
+    # Common quantile of all distances below which the accepted rows lie: the largest accepted r_j / n
     implied_quantile: float
     rule: str
 

@@ -47,23 +47,12 @@ Streams = Callable[[str], np.random.Generator]
 
 @dataclass(frozen=True)
 class Calibration:
-    """Coverage and rank tests of one version of the bound.
+    """Coverage and rank tests of one version of the bound."""
 
-    Attributes
-    ----------
-    overall
-        Coverage at every level of `LEVELS`.
-    by_mass
-        Coverage of the headline in bins of the true mass.
-    ranks
-        Rank tests of the parameters m_th_kev and log10_m_halo_msun.
-    passed
-        Whether the headline's coverage agrees with the nominal one and the ranks of m_th_kev are uniform.
-    """
-
-    overall: dict[str, Coverage]
-    by_mass: dict[str, Coverage]
-    ranks: dict[str, RankTest]
+    overall: dict[str, Coverage]  # coverage at every level of `LEVELS`
+    by_mass: dict[str, Coverage]  # coverage of the headline in bins of the true mass
+    ranks: dict[str, RankTest]  # rank tests of the parameters m_th_kev and log10_m_halo_msun
+    # Whether the headline's coverage agrees with the nominal one and the ranks of m_th_kev are uniform
     passed: bool
 
 
@@ -91,26 +80,13 @@ class Adjusted:
 
 @dataclass(frozen=True)
 class Analysis:
-    """The results of all modules of this package for one table.
-
-    Attributes
-    ----------
-    distances
-        Of the samples to the observation [n_kinds, n].
-    counts
-        Of the bootstrapped tables [n_bootstrap, n].
-    other_rules, other_priors
-        The headline bound under the other rules and priors, or the message of the error.
-    adjusted, adjusted_calibration
-        None, with the reason in `no_adjustment`, if too few samples are accepted.
-    warnings
-        What a reader must know before quoting the headline, most serious first.
-    """
+    """The results of all modules of this package for one table."""
 
     acceptance: Acceptance
-    distances: FloatArray
+    distances: FloatArray  # of the samples to the observation [n_kinds, n]
     bounds: dict[str, Bound]
-    counts: Counts
+    counts: Counts  # of the bootstrapped tables [n_bootstrap, n]
+    # The headline bound under the other rules and priors, or the message of the error
     other_rules: dict[str, Bound | str]
     other_priors: dict[str, Bound | str]
     likelihood: LikelihoodRatio
@@ -121,10 +97,11 @@ class Analysis:
     calibration: Calibration
     expected: ExpectedLimit | None
     gain: Information
+    # None, with the reason in `no_adjustment`, if too few samples are accepted
     adjusted: Adjusted | None
     adjusted_calibration: Calibration | None
     no_adjustment: str
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  # what a reader must know before quoting the headline, most serious first
 
     @property
     def n_rows(self) -> int:

@@ -30,35 +30,19 @@ class TooFewError(ValueError):
 
 @dataclass(frozen=True)
 class Bound:
-    """A one-sided lower bound on the thermal relic mass.
+    """A one-sided lower bound on the thermal relic mass."""
 
-    Attributes
-    ----------
-    name, level
-        E.g. "q0455", the 0.0455 quantile of the accepted samples: excluded at 95.45%.
-    value_kev
-        The bound [keV].
-    mc_error_kev
-        Its Monte-Carlo error [keV]: standard deviation over bootstrapped tables.
-    prior_only_kev
-        The same quantile of the prior [keV].
-    k, n
-        Accepted and all samples.
-    ess
-        Kish effective size of the accepted samples; k without weights.
-    warnings
-        What a reader must know before quoting the value.
-    """
-
+    # E.g. "q0455", the 0.0455 quantile of the accepted samples: excluded at 95.45%.
     name: str
     level: float
-    value_kev: float
-    mc_error_kev: float
-    prior_only_kev: float
+    value_kev: float  # the bound [keV]
+    mc_error_kev: float  # its Monte-Carlo error [keV]: standard deviation over bootstrapped tables
+    prior_only_kev: float  # the same quantile of the prior [keV]
+    # Accepted and all samples
     k: int
     n: int
-    ess: float
-    warnings: tuple[str, ...]
+    ess: float  # Kish effective size of the accepted samples; k without weights
+    warnings: tuple[str, ...]  # what a reader must know before quoting the value
 
 
 def weighted_quantile(values: FloatArray, weights: FloatArray, levels: npt.ArrayLike) -> FloatArray:

@@ -232,22 +232,13 @@ def rank_test(pit: FloatArray, rng: np.random.Generator, n_grid: int = 50, n_sim
 
 @dataclass(frozen=True)
 class ExpectedLimit:
-    """Bounds of trials with a CDM-like truth.
+    """Bounds of trials with a CDM-like truth."""
 
-    Attributes
-    ----------
-    n, quantiles_kev
-        Number of truths above `CDM_LIKE_KEV`; 5, 16, 50, 84 and 95% quantiles of their bounds [keV].
-    median_error_kev
-        Standard deviation of the median over bootstrapped truths [keV].
-    observed_percentile
-        Percentage of these bounds below the observed one.
-    """
-
+    # Number of truths above `CDM_LIKE_KEV`; 5, 16, 50, 84 and 95% quantiles of their bounds [keV]
     n: int
     quantiles_kev: tuple[float, ...]
-    median_error_kev: float
-    observed_percentile: float
+    median_error_kev: float  # standard deviation of the median over bootstrapped truths [keV]
+    observed_percentile: float  # percentage of these bounds below the observed one
 
 
 def expected_limit(

@@ -17,21 +17,12 @@ PREDICTIVE_LEVELS = (0.025, 0.16, 0.5, 0.84, 0.975)
 
 @dataclass(frozen=True)
 class CloudCheck:
-    """Rank of the observation's distance to its nearest sample among the same distances of the samples.
+    """Rank of the observation's distance to its nearest sample among the same distances of the samples."""
 
-    Attributes
-    ----------
-    percentile
-        Per kind of summary: percentage of samples whose nearest other sample is closer, ties counted half.
-    warnings
-        For kinds above `MAX_PERCENTILE`, and kinds that cannot distinguish samples.
-    nearest
-        Distance of samples to their nearest other one [n_kinds, n_samples].
-    """
-
+    # Per kind of summary: percentage of samples whose nearest other sample is closer, ties counted half
     percentile: dict[str, float]
-    warnings: tuple[str, ...]
-    nearest: FloatArray
+    warnings: tuple[str, ...]  # for kinds above `MAX_PERCENTILE`, and kinds that cannot distinguish samples
+    nearest: FloatArray  # distance of samples to their nearest other one [n_kinds, n_samples]
 
     def percentiles(self, distances: FloatArray) -> FloatArray:
         """Return the percentage of samples whose nearest other one is closer than `distances` [n_kinds, n]."""

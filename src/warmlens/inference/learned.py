@@ -19,24 +19,14 @@ MIN_SAMPLES = 50
 
 @dataclass(frozen=True)
 class LearnedSummaries:
-    """One learned summary per parameter.
+    """One learned summary per parameter."""
 
-    Attributes
-    ----------
-    samples
-        Prediction for each sample by the models of the other folds [n, n_parameters].
-    observed
-        Mean prediction of all folds' models for the observation, or for several [..., n_parameters].
-    r_squared
-        Cross-validated fraction of the variance that is predicted [n_parameters]; <= 0 if nothing is.
-    penalty
-        Ridge penalty of the standardised summaries that predicts best [n_parameters].
-    """
-
-    samples: FloatArray
+    samples: FloatArray  # prediction for each sample by the models of the other folds [n, n_parameters]
+    # Mean prediction of all folds' models for the observation, or for several [..., n_parameters]
     observed: FloatArray
+    # Cross-validated fraction of the variance that is predicted [n_parameters]; <= 0 if nothing is
     r_squared: FloatArray
-    penalty: FloatArray
+    penalty: FloatArray  # ridge penalty of the standardised summaries that predicts best [n_parameters]
 
 
 def learned_summaries(

@@ -18,27 +18,15 @@ MIN_EXPECTED = 3.0
 
 @dataclass(frozen=True)
 class Crossing:
-    """Where the likelihood ratio falls to a value.
+    """Where the likelihood ratio falls to a value."""
 
-    Attributes
-    ----------
-    ratio
-        1/10 or 1/20.
-    m_kev
-        Largest mass at which B has fallen to `ratio` [keV]; None if it does not within the prior.
-    fraction_reaching
-        Fraction of the bootstrapped tables in which B falls to `ratio`.
-    mc_error_kev
-        Standard deviation of the mass over those tables [keV]; None if they are less than half of all.
-    warnings
-        What a reader must know before quoting the value.
-    """
-
-    ratio: float
+    ratio: float  # 1/10 or 1/20
+    # Largest mass at which B has fallen to `ratio` [keV]; None if it does not within the prior
     m_kev: float | None
+    # Standard deviation of the mass over those tables [keV]; None if they are less than half of all
     mc_error_kev: float | None
-    fraction_reaching: float
-    warnings: tuple[str, ...]
+    fraction_reaching: float  # fraction of the bootstrapped tables in which B falls to `ratio`
+    warnings: tuple[str, ...]  # what a reader must know before quoting the value
 
 
 @dataclass(frozen=True)
