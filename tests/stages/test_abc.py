@@ -124,6 +124,7 @@ def test_the_nearest_samples_are_accepted(tmp_path: Path) -> None:
     with open_artifact(tmp_path / "abc.h5", "abc") as artifact:
         m, accepted = artifact.array("table/m_th_kev"), artifact.array("table/accepted").astype(bool)
         distance, meta = artifact.array("table/distance_correlation"), artifact.metadata
+        columns = {name.removeprefix("table/") for name in artifact.names if name.startswith("table/")}
     good = np.ones(N, dtype=bool)
     good[[5, 33]] = False
     expected = np.argsort(np.where(good, np.abs(m - 4.0), np.inf))[: round(0.2 * 58)]
@@ -133,6 +134,7 @@ def test_the_nearest_samples_are_accepted(tmp_path: Path) -> None:
     assert meta["bounds"]["q0455"]["value_kev"] == m[accepted].min()
     assert meta["n_failed"] == 2
     table = pd.read_csv(tmp_path / "abc.csv")
+    assert set(table.columns) == columns, "a column of abc.csv needs a row of _COLUMNS"
     np.testing.assert_array_equal(table["accepted"], accepted)
     np.testing.assert_allclose(table["distance_correlation"], distance)
     np.testing.assert_allclose(table["cut_correlation"], distance)
