@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from warmlens.figures.delta_r import AmplitudeRow, draw_amplitude_row
+from warmlens.figures.draw.scan import ScanRow, draw_scan_row
 from warmlens.figures.draw.style import house_style
 from warmlens.imaging.grid import PixelGrid
 
@@ -27,6 +28,23 @@ def shown(ax):
 
 def label_of_bar(ax):
     return next(child for child in ax.child_axes).get_ylabel()
+
+
+def test_scan_row_shows_delta_r_about_zero_and_r_sens_from_zero(axes):
+    draw_scan_row(axes, ScanRow("F814W", [MAP, -MAP, 2.0 * MAP], SENS), GRID, 25.0, 50.0)
+    for ax, factor in zip(axes[:3], (1.0, -1.0, 2.0), strict=True):
+        np.testing.assert_array_equal(shown(ax).get_array(), factor * MAP)
+        assert shown(ax).get_clim() == (-25.0, 25.0)
+    np.testing.assert_array_equal(shown(axes[3]).get_array(), SENS)
+    assert shown(axes[3]).get_clim() == (0.0, 50.0)
+    assert "Delta R" in label_of_bar(axes[2])
+    assert axes[0].get_ylabel() == "F814W\n$y$ [arcsec]"
+    assert "sens" in label_of_bar(axes[3])
+
+
+def test_r_sens_is_brightest_at_its_99_5th_percentile(axes):
+    draw_scan_row(axes, ScanRow("F814W", [MAP] * 3, SENS), GRID)
+    assert shown(axes[3]).get_clim() == (0.0, pytest.approx(np.percentile(SENS, 99.5)))
 
 
 def test_amplitude_row_shows_significance_and_what_the_data_tell(axes):
