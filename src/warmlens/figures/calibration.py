@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from warmlens.figures.draw.axes import legend_above
 from warmlens.figures.draw.style import BLUE, FULL_WIDTH_INCH, ORANGE, RED
 from warmlens.figures.inputs import Inputs, open_input
-from warmlens.inference.bound import HEADLINE_INDEX
+from warmlens.inference.bound import LEVELS
 from warmlens.inference.calibration import MASS_BINS_KEV
 
 _PARAMETERS = {"m_th_kev": r"$m_{\rm TH}$", "log10_m_halo_msun": r"$M_{\rm h}$"}
@@ -40,7 +40,7 @@ def read(inputs: Inputs) -> dict[str, pd.DataFrame]:
         trials = {
             "sample_id": artifact.array("trials/sample_id"),
             "true_m_th_kev": artifact.array("trials/truth")[:, 0],
-            "bound_kev": artifact.array("trials/bounds")[:, HEADLINE_INDEX],
+            "bound_kev": artifact.array("trials/bounds")[:, list(LEVELS).index(meta["headline"])],
         }
     measured = meta["calibration"]
     by_mass = measured["coverage_by_true_mass"]
