@@ -30,7 +30,17 @@ def test_an_unknown_stage_and_missing_inputs_are_named() -> None:
     assert "needs --input observation=FILE of stage observation, got 0" in missing.stderr
     absent = _run("stage", "halos", "--settings", "absent.json", "--output", "x.h5")
     assert "absent.json: not readable as JSON" in absent.stderr and "warmlens params halos" in absent.stderr
-    wrong = _run("stage", "halos", "--settings", settings, "--output", "x.h5", "--span", "0", "3")
+    stale = _run(
+        "stage",
+        "deflections",
+        "--settings",
+        settings.replace('"stage_version":2', '"stage_version":1'),
+        "--output",
+        "x",
+    )
+    assert "stage_version is 1, the code of deflections has 2" in stale.stderr
+    of_mocks = _run("params", "mocks").stdout
+    wrong = _run("stage", "halos", "--settings", of_mocks, "--output", "x.h5", "--span", "0", "3")
     assert "halos: missing" in wrong.stderr
 
 

@@ -38,4 +38,9 @@ def read_settings(name: str, source: str) -> StageSettings:
     except (OSError, ValueError, RecursionError) as error:
         remedy = f"`warmlens params {name} > FILE` writes the settings of this stage"
         raise ConfigError([f"{source}: not readable as JSON ({error}); {remedy}"]) from None
+    version = STAGES[name].version
+    if (given := raw.setdefault("stage_version", version)) != version:
+        raise ConfigError(
+            [f"{source}: stage_version is {given}, the code of {name} has {version}; write it again"]
+        )
     return parse_block(STAGES[name].settings, raw)
