@@ -25,7 +25,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = ROOT / "docs/reliability.md"
-GROUPS = ("Processes", "Slurm", "Disk", "Artifacts", "Origin", "Samples")
+GROUPS = ("Processes", "Slurm", "Disk", "Artifacts", "Origin", "Answers", "Images", "Samples", "Machine")
 SAME = "same digests"
 STOPS = "stops"
 NOTHING = "nothing"
