@@ -245,7 +245,7 @@ STAGES: dict[str, Stage] = {
     for stage in (
         Stage("observation", "observation:run", "observation.h5", ObservationSettings, 2, narrow=_observation),
         Stage(
-            "smooth_model", "smooth_model:run", "smooth_model.h5", SmoothModelSettings, 4,
+            "smooth_model", "smooth_model:run", "smooth_model.h5", SmoothModelSettings, 5,
             {"observation": "observation"},
         ),
         Stage(
@@ -285,10 +285,10 @@ STAGES: dict[str, Stage] = {
             {"scans": "null_scans"}, _raster,
         ),
         Stage(
-            "abc", "abc.run:run", "abc.h5", AbcSettings, 3,
+            "abc", "abc.run:run", "abc.h5", AbcSettings, 4,
             {**_ANSWER, "null_summaries": "null_summaries"}, _upstream,
         ),
-        Stage("exclusion", "exclusion:run", "exclusion.h5", ExclusionSettings, 1, _ANSWER, _exclusion),
+        Stage("exclusion", "exclusion:run", "exclusion.h5", ExclusionSettings, 2, _ANSWER, _exclusion),
     )
 }  # fmt: skip
 

@@ -25,6 +25,11 @@ _SUMMARIES = {
     "learned_m": "learned summary of m_TH",
     "learned_mass": "learned summary of M_h",
 }
+MEANING = {  # of the verdicts on a bound
+    "measured": "the image measures this bound",
+    "prior only": "the image says nothing that the prior does not say",
+    "not usable": "this bound may be wrong, do not quote it",
+}
 _NUMBER = r"(-?[\d.]+)"
 _ARCSEC = ("theta_E", "center_x", "center_y", "ra_0", "dec_0", "R_sersic", "beta", "x", "y")
 

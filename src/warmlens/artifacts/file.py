@@ -32,7 +32,7 @@ from warmlens.artifacts.checks import (
     text_attribute,
     texts_attribute,
 )
-from warmlens.artifacts.code_version import code_commit
+from warmlens.artifacts.code_version import code_commit, sample_code_digest
 from warmlens.config.digest import canonical_json, settings_digest
 
 SCHEMA_VERSION = 2  # 1 had text of variable length
@@ -75,7 +75,8 @@ class Header:
     """What an artifact at `path` states about itself: its attributes, without its contents.
 
     `digest` is the SHA-256 of metadata and datasets. `inputs` has for each name the "path" of the input, relative
-    to the folder of the artifact, and the "digest" that it had. Code with uncommitted changes is `git_dirty`.
+    to the folder of the artifact, and the "digest" that it had. Code with uncommitted changes is `git_dirty`;
+    `code_sha256` is the digest of the code that makes samples, "" in artifacts from before it was recorded.
     """
 
     path: Path
@@ -90,8 +91,14 @@ class Header:
     package_version: str
     git_commit: str
     git_dirty: bool
+    code_sha256: str
     created_utc: str
     wall_seconds: float
+
+    @property
+    def code(self) -> str:
+        """Version of the code: its digest, or the commit where it was not recorded."""
+        return self.code_sha256 or self.git_commit
 
     @property
     def settings_sha256(self) -> str:
@@ -213,6 +220,7 @@ def write_artifact(
                 "package_version": __version__,
                 "git_commit": commit,
                 "git_dirty": dirty,
+                "code_sha256": sample_code_digest(),
                 "settings": canonical_json(provenance.settings),
                 "settings_sha256": settings_digest(provenance.settings),
                 "metadata": canonical_json(metadata),
@@ -352,6 +360,7 @@ def _checked(path: Path, file: h5py.File) -> Artifact:
         package_version=text_attribute(file, "package_version"),
         git_commit=text_attribute(file, "git_commit"),
         git_dirty=bool(number_attribute(file, "git_dirty")),
+        code_sha256=text_attribute(file, "code_sha256") if "code_sha256" in file.attrs else "",
         created_utc=text_attribute(file, "created_utc"),
         wall_seconds=number_attribute(file, "wall_seconds"),
         file=file,

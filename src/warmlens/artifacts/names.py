@@ -15,13 +15,13 @@ FIGURE_GROUPS = {  # one job each: the imports take longer than drawing
     "answer": ("posterior", "likelihood", "calibration", "convergence", "predictive", "information"),
 }
 FIGURES = tuple(name for names in FIGURE_GROUPS.values() for name in names)
-FIGURE_VERSION = 5  # raise it when a figure changes: finished campaigns then redraw theirs
+FIGURE_VERSION = 6  # raise it when a figure changes: finished campaigns then redraw theirs
 CONFIG = "config.json"
 SETTINGS = "settings/{stage}.json"  # what the jobs of a stage read
 TABLE = "abc.csv"
 NUMBERS = "abc.json"
 REPORT = "report.html"
-REPORT_VERSION = 2
+REPORT_VERSION = 3
 MANIFEST = "manifest.json"
 CRATE = "ro-crate-metadata.json"  # as RO-Crate wants it
 MANIFEST_VERSION = 1

@@ -13,7 +13,7 @@ mpl.use("agg")
 
 import pandas as pd
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.config.model import Config
 from warmlens.figures import (
     calibration,
@@ -35,6 +35,7 @@ from warmlens.figures import (
 )
 from warmlens.figures.inputs import Inputs, find_inputs
 from warmlens.figures.recipe import Recipe, panel_table
+from warmlens.text import MEANING
 
 logging.getLogger("fontTools").setLevel(logging.WARNING)  # it reports every glyph of a PDF
 
@@ -69,18 +70,28 @@ FROM_CONFIG: dict[str, Recipe[Config, Any]] = {
 
 def write_from_artifacts(name: str, inputs: Inputs, output: Path) -> None:
     """Write a figure of given artifacts and its data."""
-    _recipe(name).write(inputs, output)
+    recipe = _recipe(name)
+    recipe.write(inputs, output, _verdict(inputs))
 
 
 def write_from_results(name: str, results: Sequence[Path], output: Path) -> None:
     """Write a figure of one campaign (Figs. 6 and 7: of several) and its data."""
-    recipe = _recipe(name)
-    recipe.write(find_inputs(name, results), output)
+    _recipe(name)  # refuses a name that is none
+    write_from_artifacts(name, find_inputs(name, results), output)
 
 
 def write_from_config(name: str, config: Config, output: Path) -> None:
     """Write a figure that needs no campaign and its data."""
     FROM_CONFIG[name].write(config, output)
+
+
+def _verdict(inputs: Inputs) -> str:
+    """Return the verdict on the bound that a figure shows; "" for a figure of something else."""
+    if "abc" not in inputs:
+        return ""
+    with open_artifact(inputs["abc"], "abc") as artifact:
+        verdict = artifact.metadata["verdict"]
+    return f"{verdict}: {MEANING[verdict]}"
 
 
 def _recipe(name: str) -> Recipe[Inputs, Any]:

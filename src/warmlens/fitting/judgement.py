@@ -31,9 +31,10 @@ _BRIGHT_EXCESS, _BRIGHT_SIGNIFICANCE = 1.1, 5.0  # chi2 per pixel of bright arcs
 
 @dataclass(frozen=True)
 class Judgement:
-    """Warnings of an accepted fit, and the correlation function of each band's residuals in units of the noise."""
+    """Problems of a poor fit that was allowed, notes, and the correlation of each band's residuals [sigma^2]."""
 
-    warnings: list[str]
+    problems: list[str]
+    notes: list[str]
     residual_correlation: dict[str, FloatArray]
 
 
@@ -94,7 +95,7 @@ def judge_fit(block: SmoothModelBlock, observed: Observation, fitted: LensFit, m
         notes += _correlation_beyond_noise(band, correlation[band.name])
     for band in fits_well:
         notes += _misfit_of_bright_arcs(band.name, chi2_of_arcs(model, band.name, residuals[band.name]))
-    return Judgement(problems + notes, correlation)
+    return Judgement(problems, notes, correlation)
 
 
 def band_residuals(band: Band, model: SmoothModel, outside_cores: BoolArray) -> Residuals:

@@ -22,6 +22,7 @@ CDM_LIKE_KEV = 4.5
 MASS_BINS_KEV = {"below 2 keV": (0.0, 2.0), "2 to 3 keV": (2.0, 3.0), "above 3 keV": (3.0, np.inf)}
 MIN_KS_P = 0.01
 CONFIDENCE = 0.95
+TOO_LOW_P = 1e-3  # probability of so few covered truths, below which the bound is too strong
 BATCH = 100
 
 
@@ -157,6 +158,11 @@ class Coverage:
     def nominal_inside(self) -> bool:
         """Whether the interval contains the nominal coverage."""
         return self.low <= self.nominal <= self.high
+
+    @property
+    def too_low(self) -> bool:
+        """Whether the truth lies above its bound too seldom to be chance: the bound is too strong."""
+        return bool(scipy.stats.binom.cdf(self.n_covered, self.n, self.nominal) < TOO_LOW_P)
 
 
 def coverage(bounds: FloatArray, truth: FloatArray, level: float) -> Coverage:

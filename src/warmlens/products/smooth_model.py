@@ -101,7 +101,8 @@ def fit_datasets(fitted: LensFit, judgement: Judgement) -> tuple[dict[str, Datas
         ],
         "source_center": solution.center.tolist(),
         "kwargs_lens_light": list(solution.macro.kwargs_light),
-        "warnings": judgement.warnings,
+        "problems": judgement.problems,
+        "notes": judgement.notes,
     }
     return datasets, metadata
 

@@ -11,7 +11,7 @@ from rich.console import Console
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import CONFIG, EXCLUSION_NUMBERS, EXCLUSION_TABLE, SINGLE
 from warmlens.config.file import read_stored
-from warmlens.report.result import nearest_line, print_warnings
+from warmlens.report.result import nearest_line, print_verdict
 
 
 def is_grid(results: Path) -> bool:
@@ -26,7 +26,7 @@ def print_exclusion(results: Path) -> None:
     with open_artifact(path, "exclusion") as artifact:
         meta = artifact.metadata
     console = Console(highlight=False, soft_wrap=True)
-    print_warnings(console, meta["warnings"])
+    print_verdict(console, meta)
     console.print(meta["statement"], style="bold", markup=False)
     for line in [
         *exclusion_lines(meta),

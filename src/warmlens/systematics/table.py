@@ -49,7 +49,7 @@ class Row:
     n_samples: int | None = None
     n_in_common: int | None = None  # accepted samples that the base accepted too
     ess: float | None = None  # effective number of accepted samples
-    quotable: bool | None = None  # as in abc.json
+    verdict: str | None = None  # as in abc.json
     n_below: int | None = None  # positions of the observation's scan below the threshold, bands added
     c0: float | None = None  # C(0)
     min_delta_r: float | None = None
@@ -107,15 +107,15 @@ def write_table(folder: Path, rows: Sequence[Row]) -> None:
 
 def print_table(rows: Sequence[Row], console: Console) -> None:
     """Print bound and scan of every variant, and why one has none."""
-    columns = ("variant", "bound [keV]", "prior", "shift", "as base", "n below", "C(0)", "min dR", "z2")
+    columns = ("variant", "bound [keV]", "verdict", "prior", "shift", "as base", "n below", "C(0)", "min dR", "z2")
     caption = "n below, z2: of the observation (median of the mocks without substructure)"
     table = Table(*columns, "chi2_red", "core s", box=None, caption=caption)
     for row in rows:
         bound = "" if row.bound_kev is None else f"{row.bound_kev:.2f} +- {row.mc_error_kev:.2f}"
-        bound += " (do not quote)" if row.quotable is False else ""
         table.add_row(
             row.name,
             "failed" if row.state == FAILED else bound,
+            row.verdict or "",
             _text("{:.2f}", row.prior_only_kev),
             _text("{:+.2f}", row.shift_kev),
             "" if row.n_in_common is None else f"{row.n_in_common} of {row.n_accepted}",
@@ -126,7 +126,7 @@ def print_table(rows: Sequence[Row], console: Console) -> None:
             " ".join(f"{value:.3f}" for value in row.chi2_red.values()),
             _text("{:.0f}", row.computed_s),
         )
-    wide = Console(file=console.file, highlight=False, width=max(console.width, 140))  # so that no cell is broken
+    wide = Console(file=console.file, highlight=False, width=max(console.width, 150))  # so that no cell is broken
     wide.print(table)
     for row in rows:
         if row.state == FAILED:
@@ -177,8 +177,8 @@ def _bound_fields(bound: Mapping[str, Any], of_base: Mapping[str, Any] | None) -
 
 def _bound_numbers(config: Config, base: Config | None) -> dict[str, Any]:
     meta, bound, accepted = _read_abc(config)
-    numbers = {name: meta[name] for name in ("n_accepted", "n_samples", "quotable")}
-    numbers["warnings"] = tuple(meta["warnings"])
+    numbers = {name: meta[name] for name in ("n_accepted", "n_samples", "verdict")}
+    numbers["warnings"] = (*meta["reasons"], *meta["warnings"])
     if base is None:
         return {**_bound_fields(bound, None), **numbers}
     _, of_base, accepted_by_base = _read_abc(base)
