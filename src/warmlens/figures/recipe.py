@@ -35,7 +35,7 @@ class Recipe(Generic[SourceT, DataT]):
     tabulate: Callable[[DataT], pd.DataFrame]
 
     def write(self, source: SourceT, output: Path, title: str = "") -> None:
-        """Write the picture as .png, .pdf or .svg, with a title above its panels, and its data as CSV beside it."""
+        """Write the picture as .png, .pdf or .svg under a title, and its data as CSV beside it."""
         kind = output.suffix.removeprefix(".")
         if kind not in ("png", "pdf", "svg"):
             raise ValueError(f"output {output} must end in .png, .pdf or .svg")

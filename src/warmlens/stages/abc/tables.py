@@ -13,6 +13,7 @@ import pandas as pd
 
 from warmlens import __version__
 from warmlens.artifacts.chain import check_chains
+from warmlens.artifacts.code_version import code_commit
 from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, Header, atomic_path, open_artifact
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE, Summary
 from warmlens.inference.table import Table
@@ -81,7 +82,7 @@ def read_samples(job: Job[Any]) -> Samples:
         reasons = misfit_reasons(smooth_model.metadata["problems"], smooth_model.metadata["notes"])
     _check_failures(table, good, settings.abc.max_failed_fraction)
     reasons += failure_reasons({name: table[name].to_numpy() for name in _PARAMETERS}, ~good)
-    reasons += _code_reasons(headers)
+    reasons += _code_reasons(job.stage.name, headers)
     with job.open("observed_summary") as observed:
         response = RESPONSE if "amplitude" in observed.settings["scan"]["statistics"] else ()
         names = (*PAPER, *COUNTS, *response)
@@ -130,11 +131,13 @@ def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
     return table
 
 
-def _code_reasons(headers: Sequence[Header]) -> list[Reason]:
+def _code_reasons(stage: str, headers: Sequence[Header]) -> list[Reason]:
+    """Judge the code that made all samples, and that of this stage."""
     codes: dict[str, set[str]] = {}
     for header in headers:
         codes.setdefault(header.stage, set()).add(header.code)
-    return code_reasons(codes, {header.stage for header in headers if header.git_dirty})
+    uncommitted = {header.stage for header in headers if header.git_dirty}
+    return code_reasons(codes, uncommitted | ({stage} if code_commit()[1] else set()))
 
 
 def _check_failures(table: pd.DataFrame, good: BoolArray, max_failed_fraction: float) -> None:
