@@ -122,7 +122,7 @@ onstart:
     except (ArtifactError, locks.LockedError) as error:
         raise WorkflowError(str(error)) from None
     with atomic_path(Path(results(CONFIG))) as temporary:
-        temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
+        temporary.write_text(CAMPAIGN.model_dump_json(indent=2), encoding="utf-8")
     write_settings(CAMPAIGN)
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 

@@ -125,7 +125,7 @@ def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None)
         python=platform.python_version(),
         libraries={name: metadata.version(name) for name in LIBRARIES},
         seed=config.campaign.seed,
-        config=json.loads((root / CONFIG).read_text()),
+        config=json.loads((root / CONFIG).read_text(encoding="utf-8")),
         files=files,
     )
     return manifest, headers
@@ -138,7 +138,7 @@ def _bytes(path: Path, root: Path) -> dict[str, Any]:
 def write_manifest(manifest: Manifest, path: Path) -> None:
     """Write a manifest as JSON, without what is None."""
     with atomic_path(path) as temporary:
-        temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n")
+        temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n", encoding="utf-8")
 
 
 def read_manifest(results: Path) -> Manifest | None:

@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.inference.bound import HEADLINE, LEVELS
 from warmlens.inference.combine import combine
 from warmlens.inference.likelihood import RATIOS, LikelihoodRatio
 from warmlens.report.result import print_warnings
-from warmlens.text import confidence, pair
+from warmlens.text import Terminal, confidence, pair
 
 
 def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, Any]:
@@ -67,7 +65,7 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     _print(numbers)
     if output is not None:
         with atomic_path(output) as temporary:
-            temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n")
+            temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return numbers
 
 
@@ -82,7 +80,7 @@ def _read_ratio(artifact: Artifact) -> LikelihoodRatio:
 
 
 def _print(numbers: dict[str, Any]) -> None:
-    console = Console(highlight=False, soft_wrap=True)
+    console = Terminal()
     print_warnings(console, numbers["warnings"])
     bound = numbers["bounds"][numbers["headline"]]
     grid = numbers["likelihood_ratio"]["m_kev"]
