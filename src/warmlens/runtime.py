@@ -44,34 +44,47 @@ def prepare() -> None:
 def kernel_folder(digest: str) -> Path:
     """Make the folder for compiled kernels and return it: below the user's choice, named after the digest.
 
-    Where it cannot be written it is a temporary one, until this process ends: numba would fall back on the folder
-    of the sources, and find code there that was compiled with other versions of the kernels that it calls.
+    Where no cache can be written there is a temporary one, until this process ends, for Snakemake and matplotlib
+    too. numba would fall back on the folder of the sources, and find code there that was compiled with other
+    versions of the kernels that it calls.
     """
     name = f"{_FOLDER}{digest}"
+    home = _cache_home()
+    chosen = Path(os.environ.get("NUMBA_CACHE_DIR") or home).absolute()
+    if chosen.name.startswith(_FOLDER):  # of a parent process
+        chosen = chosen.parent
     try:
-        folder = _cache_home() / name
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder) as probe:
-            probe.write(b"room for a kernel?")
-    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home
-        _lost_cache.append(f"compiled kernels cannot be kept ({error}); set XDG_CACHE_HOME to a folder for them")
-        try:
-            temporary = Path(tempfile.mkdtemp(prefix="warmlens-"))
-        except OSError as without:
-            sys.exit(f"warmlens: {without}; set TMPDIR to a folder that can be written")
-        atexit.register(shutil.rmtree, temporary, ignore_errors=True)
-        folder = temporary / name
-        folder.mkdir()
-    return folder
+        return _made(chosen / name)
+    except OSError as error:
+        _lost_cache.append(f"compiled kernels are not kept in {chosen}, which cannot be written ({error})")
+        return _made(home / name)
 
 
 def _cache_home() -> Path:
-    """Return the folder of NUMBA_CACHE_DIR, as the user or a parent process has set it, else of XDG."""
-    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
-        folder = Path(chosen).absolute()
-        return folder.parent if folder.name.startswith(_FOLDER) else folder
+    """Return the folder of this program in the user's cache, or in a temporary one if that cannot be written."""
     chosen = os.environ.get("XDG_CACHE_HOME", "")
-    return (Path(chosen) if os.path.isabs(chosen) else Path.home() / ".cache") / "warmlens"  # noqa: PTH117 (as XDG)
+    try:
+        caches = Path(chosen) if os.path.isabs(chosen) else Path.home() / ".cache"  # noqa: PTH117 (as XDG says)
+        return _made(caches / "warmlens")
+    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home
+        try:
+            temporary = Path(tempfile.mkdtemp(prefix="warmlens-"))
+        except OSError as nowhere:
+            sys.exit(f"warmlens: {nowhere}; set TMPDIR to a folder that can be written")
+        atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+        _lost_cache.append(
+            f"no cache can be written ({error}); set XDG_CACHE_HOME to a folder for compiled kernels"
+        )
+        os.environ["XDG_CACHE_HOME"] = str(temporary)
+        return _made(temporary / "warmlens")
+
+
+def _made(folder: Path) -> Path:
+    """Make a folder and return it; raise `OSError` if it cannot be written."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder) as probe:
+        probe.write(b"room for a kernel?")
+    return folder
 
 
 def lost_cache() -> str:

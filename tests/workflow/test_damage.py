@@ -115,7 +115,9 @@ def _changed_in_place(
     stage, path = damaged
     change(path)
     if stage != "abc":
-        _refused(config, stage, path, tmp_path, outcome, "changed since it was written")
+        hashed = READER[stage] == "abc"  # which hashes all that it reads
+        words = "its content does not match its digest" if hashed else "changed since it was written"
+        _refused(config, stage, path, tmp_path, outcome, words)
         return
     with open_artifact(path) as artifact, pytest.raises(ArtifactError) as error:  # for the figures and the report
         for name in artifact.names:

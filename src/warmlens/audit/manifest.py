@@ -25,7 +25,7 @@ from warmlens.stage_table import campaign_stages, stage_digests
 
 LIBRARIES = ("astropy", "colossus", "h5py", "lenstronomy", "numba", "numpy", "pandas", "scipy", "snakemake")
 _MAX_BYTES = 2**26
-_OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc")  # of its header
+_OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc", "machine")  # of its header
 
 Kind = Literal["artifact", "configuration", "table", "figure", "report"]
 
@@ -53,6 +53,7 @@ class ManifestFile(_Plain):
     settings_sha256: str | None = None
     git_commit: str | None = None
     created_utc: str | None = None
+    machine: str | None = None
 
 
 class Manifest(_Plain):

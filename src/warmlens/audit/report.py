@@ -18,7 +18,7 @@ _WIDEST = 400
 _CHAIN = ("settings", "inputs")
 _ATTRIBUTES = (
     *("schema", "schema_version", "digest", "settings_sha256", "created_utc", "wall_seconds"),
-    *("package_version", "git_commit", "git_dirty"),
+    *("package_version", "git_commit", "git_dirty", "machine"),
 )
 
 
