@@ -2,6 +2,8 @@ from __future__ import annotations
 
 import io
 import math
+import re
+from pathlib import Path
 
 import pytest
 from rich.markup import escape
@@ -78,6 +80,12 @@ def test_durations() -> None:
         "1 h 00 min",
         "10 h 01 min",
     ]
+
+
+def test_all_that_is_printed_goes_through_the_terminal() -> None:
+    sources = [path for path in Path(text.__file__).parent.rglob("*.py") if path.name != "text.py"]
+    consoles = [path.name for path in sources if re.search(r"\bConsole\(", path.read_text(encoding="utf-8"))]
+    assert consoles == ["progress.py"], "which prints nothing of a file"
 
 
 HOSTILE = "\x1b[2J\x1b]0;title\x07gone\rover\x9b31m\u202eback [bold]y \udcff"
