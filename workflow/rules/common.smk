@@ -35,6 +35,12 @@ from warmlens.stage_table import STAGES, campaign_stages, stage_digests, stage_s
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 runtime.prepare()
 
+if not Path("config.yaml").is_file():
+    raise WorkflowError(
+        f"{Path.cwd()}: no config.yaml; start in the folder that holds it, without --directory: "
+        "the key `results` says where results go"
+    )
+
 try:
     for path in workflow.configfiles:
         read_yaml(Path(path))  # refuses what Snakemake lets pass, such as a key given twice
@@ -122,7 +128,7 @@ onstart:
     except (ArtifactError, locks.LockedError) as error:
         raise WorkflowError(str(error)) from None
     with atomic_path(Path(results(CONFIG))) as temporary:
-        temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
+        temporary.write_text(CAMPAIGN.model_dump_json(indent=2), encoding="utf-8")
     write_settings(CAMPAIGN)
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 

@@ -25,7 +25,7 @@ from warmlens.stage_table import campaign_stages, stage_digests
 
 LIBRARIES = ("astropy", "colossus", "h5py", "lenstronomy", "numba", "numpy", "pandas", "scipy", "snakemake")
 _MAX_BYTES = 2**26
-_OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc")  # of its header
+_OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc", "machine")  # of its header
 
 Kind = Literal["artifact", "configuration", "table", "figure", "report"]
 
@@ -53,6 +53,7 @@ class ManifestFile(_Plain):
     settings_sha256: str | None = None
     git_commit: str | None = None
     created_utc: str | None = None
+    machine: str | None = None
 
 
 class Manifest(_Plain):
@@ -125,7 +126,7 @@ def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None)
         python=platform.python_version(),
         libraries={name: metadata.version(name) for name in LIBRARIES},
         seed=config.campaign.seed,
-        config=json.loads((root / CONFIG).read_text()),
+        config=json.loads((root / CONFIG).read_text(encoding="utf-8")),
         files=files,
     )
     return manifest, headers
@@ -138,7 +139,7 @@ def _bytes(path: Path, root: Path) -> dict[str, Any]:
 def write_manifest(manifest: Manifest, path: Path) -> None:
     """Write a manifest as JSON, without what is None."""
     with atomic_path(path) as temporary:
-        temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n")
+        temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n", encoding="utf-8")
 
 
 def read_manifest(results: Path) -> Manifest | None:

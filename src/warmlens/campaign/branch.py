@@ -58,7 +58,7 @@ def branch(base: Path, config: Config) -> list[StageBranch]:
     target = Path(config.results)
     _check_folders(base, target, config)
     with atomic_path(target / MARK) as temporary:
-        temporary.write_text(json.dumps({"base": os.path.relpath(base, target)}) + "\n")
+        temporary.write_text(json.dumps({"base": os.path.relpath(base, target)}) + "\n", encoding="utf-8")
     digests = stage_digests(config)
     branches = []
     for stage in campaign_stages(config)[:-1]:

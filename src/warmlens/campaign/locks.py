@@ -68,7 +68,7 @@ def begin(folder: Path, results: Path) -> None:
     run = Run(socket.gethostname(), os.getpid(), psutil.Process().create_time(), now, str(folder.resolve()))
     for place in (folder / _RECORDS, results / _CLAIMS):
         with atomic_path(_file(place, run.host, run.pid)) as temporary:
-            temporary.write_text(json.dumps(asdict(run)))
+            temporary.write_text(json.dumps(asdict(run)), encoding="utf-8")
     # only now, so that of two that begin at once none overlooks the other
     for other in runs(results, _CLAIMS):
         if other.folder != run.folder and not other.gone:
@@ -93,7 +93,9 @@ def _file(place: Path, host: str, pid: int) -> Path:
 
 def runs(folder: Path, place: Path = _RECORDS) -> list[Run]:
     """Read all records of `folder`, also those of killed runs."""
-    return [Run(**json.loads(path.read_text())) for path in sorted((folder / place).glob("*.json"))]
+    return [
+        Run(**json.loads(path.read_text(encoding="utf-8"))) for path in sorted((folder / place).glob("*.json"))
+    ]
 
 
 def forget_gone(folder: Path, place: Path = _RECORDS) -> None:

@@ -76,7 +76,7 @@ def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str]) -> i
     raw["campaign"]["n_samples"] = n_samples
     parse_config(raw)
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(raw, indent=2))
+        temporary.write_text(json.dumps(raw, indent=2), encoding="utf-8")
     return run([path], results, cores, extra)
 
 
@@ -125,7 +125,7 @@ def _read_own(results: Path) -> dict[str, Any]:
             f"{results / CONFIG}: the campaign was started as {recorded} and now lies in {results}; move it back, "
             "start from the folder that it was started from, or change `results` in that file"
         )
-    raw: dict[str, Any] = json.loads((results / CONFIG).read_text())
+    raw: dict[str, Any] = json.loads((results / CONFIG).read_text(encoding="utf-8"))
     return raw
 
 

@@ -18,7 +18,7 @@ def write_settings(config: Config) -> None:
     """Write the settings of every stage of a campaign into its results folder."""
     for name in campaign_stages(config):
         with atomic_path(Path(config.results) / SETTINGS.format(stage=name)) as temporary:
-            temporary.write_text(canonical_json(stage_settings(config, name).as_dict()) + "\n")
+            temporary.write_text(canonical_json(stage_settings(config, name).as_dict()) + "\n", encoding="utf-8")
 
 
 def read_settings(name: str, source: str) -> StageSettings:
@@ -32,7 +32,7 @@ def read_settings(name: str, source: str) -> StageSettings:
     if name not in STAGES:
         raise ConfigError([f"{name}: no stage of this name; stages are {', '.join(STAGES)}"])
     try:
-        raw = json.loads(source if source.lstrip().startswith("{") else Path(source).read_text())
+        raw = json.loads(source if source.lstrip().startswith("{") else Path(source).read_text(encoding="utf-8"))
         if not isinstance(raw, dict):
             raise ValueError(f"expected a JSON object, found {type(raw).__name__}")
     except (OSError, ValueError, RecursionError) as error:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from warmlens.artifacts.file import ArtifactError, open_artifact
@@ -16,7 +15,7 @@ from warmlens.campaign.files import stage_files
 from warmlens.config.file import read_stored
 from warmlens.config.model import Config
 from warmlens.stage_table import campaign_stages
-from warmlens.text import duration
+from warmlens.text import Terminal, duration
 
 _SAMPLED = (*CHUNKED, *NULL)
 _MAX_NAMED = 3  # stages in a line of progress; the others are counted
@@ -112,7 +111,7 @@ def print_status(stages: list[StageStatus], cores: int) -> None:
             "" if row.seconds is None else f"{row.seconds:.1f}",
             "unknown" if left is None else duration(left),
         )
-    console = Console()
+    console = Terminal(soft_wrap=False)
     console.print(table)
     console.print(_time_left(stages, cores))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
@@ -12,6 +13,7 @@ import typer
 
 from warmlens import runtime
 from warmlens.cli import stages
+from warmlens.text import visible
 
 if TYPE_CHECKING:
     from warmlens.config.model import Config
@@ -247,7 +249,7 @@ def validate(configfile: ConfigFiles = None) -> None:
     lines = check_observation(_load(configfile))
     config = _load_campaign(configfile)
     for line in lines:
-        typer.echo(line)
+        typer.echo(visible(line))
     typer.echo(
         f"valid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
         f"{len(shards(config))} shards of the scan operator, results in {config.results}"
@@ -272,9 +274,9 @@ def config_reference() -> None:
     from warmlens.config.reference import generated_files
 
     _load(None)  # an invalid config.yaml stays as it is
-    for path, text in generated_files(Path("config.yaml").read_text()).items():
+    for path, text in generated_files(Path("config.yaml").read_text(encoding="utf-8")).items():
         with atomic_path(Path(path)) as temporary:
-            temporary.write_text(text)
+            temporary.write_text(text, encoding="utf-8")
 
 
 app.add_typer(stages.app)
@@ -293,21 +295,36 @@ def _load_campaign(overlays: list[Path] | None) -> Config:
     return resolve_window(_load(overlays))
 
 
+class _Visible(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return visible(super().format(record))
+
+
 def main() -> None:
-    """Run the command line. Errors of the user or of an input end with a message, not with a traceback."""
+    """Run the command line. Errors of user, machine or input end with a message, not with a traceback."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal that is not UTF-8 shows what it can
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     runtime.prepare()  # before anything numerical is imported
     from warmlens.artifacts.file import ArtifactError
     from warmlens.campaign.locks import LockedError
     from warmlens.config.file import ConfigError
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S")
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Visible("%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     try:
         app(stages.translate(sys.argv[1:]))
     except (ConfigError, ArtifactError, LockedError) as error:
-        sys.exit(f"warmlens: {error}")
+        sys.exit(f"warmlens: {visible(str(error))}")
+    except OSError as error:
+        if error.filename is None:  # which would not be told from the message
+            logging.exception("where it happened")
+        what = f"{error.filename}: {error.strerror}" if error.filename is not None else str(error)
+        sys.exit(f"warmlens: {visible(what)}")
     except ValueError as error:
         logging.exception("where it happened")
-        sys.exit(f"warmlens: {error}")
+        sys.exit(f"warmlens: {visible(str(error))}")
 
 
 if __name__ == "__main__":

@@ -74,7 +74,7 @@ def load_config(paths: Sequence[Path]) -> Config:
 def read_stored(path: Path) -> Config:
     """Read the configuration that a campaign left in its results folder, as JSON."""
     try:
-        raw = json.loads(path.read_text())
+        raw = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError([f"{path}: not readable as JSON ({error}); start the campaign again"]) from None
     if not isinstance(raw, dict):

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rich.console import Console
 
 from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
 from warmlens.artifacts.names import SINGLE
@@ -20,7 +19,7 @@ from warmlens.inference.likelihood import RATIOS, LikelihoodRatio
 from warmlens.inference.verdict import Verdict, judge_combined
 from warmlens.products.observation import read_observation
 from warmlens.report.result import print_verdict
-from warmlens.text import confidence, pair
+from warmlens.text import Terminal, confidence, pair
 from warmlens.types import FloatArray
 
 _DISTINCT = 0.5  # fraction of the pixels: an image with fewer different values is one of whole counts
@@ -75,7 +74,7 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     _print(numbers)
     if output is not None:
         with atomic_path(output) as temporary:
-            temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n")
+            temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return numbers
 
 
@@ -132,7 +131,7 @@ def _read_ratio(artifact: Artifact) -> LikelihoodRatio:
 
 
 def _print(numbers: dict[str, Any]) -> None:
-    console = Console(highlight=False, soft_wrap=True)
+    console = Terminal()
     print_verdict(console, numbers)
     bound = numbers["bounds"][numbers["headline"]]
     grid = numbers["likelihood_ratio"]["m_kev"]

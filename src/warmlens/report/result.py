@@ -11,7 +11,7 @@ from rich.markup import escape
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import FIGURES, NUMBERS, REPORT, SINGLE, TABLE
-from warmlens.text import MEANING, bound_cells, confidence, crossing, pair
+from warmlens.text import MEANING, Terminal, bound_cells, confidence, crossing, pair
 
 
 def print_result(results: Path) -> None:
@@ -21,7 +21,7 @@ def print_result(results: Path) -> None:
         meta = artifact.metadata
     with open_artifact(results / SINGLE["smooth_model"], "smooth_model") as artifact:
         fits, bands = artifact.metadata["fits"], artifact.metadata["bands"]
-    console = Console(highlight=False, soft_wrap=True)
+    console = Terminal()
     print_verdict(console, meta)
     bound = meta["bounds"][meta["headline"]]
     if meta["summaries"] != "paper":

@@ -11,9 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from warmlens.imaging.shapelets import ShapeletSet, add_basis
+from warmlens.kernels import njit
 from warmlens.lensing.rays import SmoothRays
 from warmlens.scan.perturber import PerturbedBasis, Perturber, perturbed_basis
 from warmlens.types import FloatArray, IntArray

@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from warmlens.imaging.shapelets import (
     ShapeletSet,
@@ -18,6 +17,7 @@ from warmlens.imaging.shapelets import (
     pack_sets,
     recurrence_factors,
 )
+from warmlens.kernels import njit
 from warmlens.lensing.rays import SmoothRays
 from warmlens.types import BoolArray, FloatArray, IntArray
 

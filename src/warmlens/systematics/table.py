@@ -21,6 +21,7 @@ from warmlens.inference.priors import HALO_MASS_PRIORS
 from warmlens.products.samples import SampleTable
 from warmlens.stage_table import campaign_stages
 from warmlens.stages.summaries import COMBINED
+from warmlens.text import Terminal
 from warmlens.types import FloatArray
 
 NAME = "systematics"
@@ -96,7 +97,7 @@ def write_table(folder: Path, rows: Sequence[Row]) -> None:
     """Write the rows as CSV (one column per number) and JSON (with lists)."""
     records = [asdict(row) for row in rows]
     with atomic_path(folder / f"{NAME}.json") as temporary:
-        temporary.write_text(json.dumps(records, indent=2, allow_nan=False) + "\n")
+        temporary.write_text(json.dumps(records, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     for record in records:
         record["computed"] = " ".join(record["computed"])
         record["warnings"] = "; ".join(record["warnings"])
@@ -126,7 +127,8 @@ def print_table(rows: Sequence[Row], console: Console) -> None:
             " ".join(f"{value:.3f}" for value in row.chi2_red.values()),
             _text("{:.0f}", row.computed_s),
         )
-    wide = Console(file=console.file, highlight=False, width=max(console.width, 150))  # so that no cell is broken
+    # so that no cell is broken
+    wide = Terminal(file=console.file, markup=False, soft_wrap=False, width=max(console.width, 150))
     wide.print(table)
     for row in rows:
         if row.state == FAILED:

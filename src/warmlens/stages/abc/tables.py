@@ -14,7 +14,7 @@ import pandas as pd
 from warmlens import __version__
 from warmlens.artifacts.chain import check_chains
 from warmlens.artifacts.code_version import code_commit
-from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, Header, atomic_path, open_artifact
+from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, Header, atomic_path, open_input
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE, Summary
 from warmlens.inference.table import Table
 from warmlens.inference.verdict import Reason, code_reasons, failure_reasons, misfit_reasons
@@ -90,7 +90,7 @@ def read_samples(job: Job[Any]) -> Samples:
         target = _arrays(observed, names)
     chunks = []
     for path in job.paths("summaries"):
-        with open_artifact(path, "summaries") as artifact:
+        with open_input(path, "summaries") as artifact:
             chunks.append(_arrays(artifact, names))
     nulls = {name: np.empty((0, *values.shape)) for name, values in target.items()}
     null_id, n_null_failed = np.empty(0, dtype=np.int64), 0
@@ -116,7 +116,7 @@ def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
     """
     frames = []
     for path in summaries:
-        with open_artifact(path, "summaries") as artifact:
+        with open_input(path, "summaries") as artifact:
             frame = pd.DataFrame({name: artifact.array(f"samples/{name}") for name in _SAMPLES})
             frame["message"] = artifact.strings("samples/message")
         frames.append(frame)
@@ -178,4 +178,6 @@ def write_answer(
         table.to_csv(temporary, index=False)
     head = {"package_version": __version__, "artifact": job.output.name, "artifact_digest": digest}
     with atomic_path(job.output.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps({**head, **metadata, **extra}, indent=2, allow_nan=False) + "\n")
+        temporary.write_text(
+            json.dumps({**head, **metadata, **extra}, indent=2, allow_nan=False) + "\n", encoding="utf-8"
+        )
