@@ -249,15 +249,15 @@ STAGES: dict[str, Stage] = {
             {"observation": "observation"},
         ),
         Stage(
-            "scan_design", "scan_operator:run_design", "scan_operator/design.h5", ScanSettings, 3,
+            "scan_design", "scan_operator:run_design", "scan_operator/design.h5", ScanSettings, 4,
             _IMAGE, _operator,
         ),
         Stage(
-            "scan_operator", "scan_operator:run", "scan_operator/shard-{span}.h5", ScanSettings, 3,
+            "scan_operator", "scan_operator:run", "scan_operator/shard-{span}.h5", ScanSettings, 4,
             {**_IMAGE, "design": "scan_design"}, _operator,
         ),
         Stage(
-            "observed_scan", "scans:run_observed", "observed_scan.h5", ScanSettings, 3,
+            "observed_scan", "scans:run_observed", "observed_scan.h5", ScanSettings, 4,
             _OPERATOR, _observed_scan,
         ),
         Stage(
@@ -270,14 +270,14 @@ STAGES: dict[str, Stage] = {
             {"halos": "halos", "observation": "observation"},
         ),
         Stage("mocks", "mocks:run", f"mocks/{_CHUNK}", MocksSettings, 1, {"deflections": "deflections", **_IMAGE}),
-        Stage("scans", "scans:run", f"scans/{_CHUNK}", ScanSettings, 3, {"mocks": "mocks", **_OPERATOR}, _scans),
+        Stage("scans", "scans:run", f"scans/{_CHUNK}", ScanSettings, 4, {"mocks": "mocks", **_OPERATOR}, _scans),
         Stage(
             "summaries", "summaries:run", f"summaries/{_CHUNK}", SummariesSettings, 3,
             {"scans": "scans"}, _raster,
         ),
         Stage("null_mocks", "mocks:run_null", "null/mocks.h5", NullMocksSettings, 1, _IMAGE),
         Stage(
-            "null_scans", "scans:run", "null/scans.h5", ScanSettings, 3,
+            "null_scans", "scans:run", "null/scans.h5", ScanSettings, 4,
             {"mocks": "null_mocks", **_OPERATOR}, _operator,
         ),
         Stage(
