@@ -27,6 +27,7 @@ from warmlens.config.observation import ObservationBlock
 from warmlens.config.scan import ScanBlock, SummariesBlock
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.config.types import Block
+from warmlens.inference.memory import peak_mb
 
 
 class StageSettings(Block):
@@ -308,6 +309,15 @@ def stage_settings(config: Config, name: str) -> StageSettings:
     blocks = {**dict(config), "seed": campaign.seed, "n_samples": campaign.n_samples}
     values = {key: blocks[key] for key in stage.settings.model_fields if key in blocks}
     return stage.settings(**(values | stage.narrow(config) | {"stage_version": stage.version}))
+
+
+def answer_memory_mb(config: Config) -> int:
+    """Return the memory [MB] that the stage of the answer needs at most: it grows with the samples."""
+    scan, summaries = config.scan, config.summaries
+    n_maps = 2 if "amplitude" in scan.statistics else 1  # with a correlation function and a single number each
+    n_separations = 1 + round(summaries.max_separation_arcsec / scan.step_arcsec)
+    n_numbers = n_maps * (n_separations + 1) + summaries.cumulative_bins + len(summaries.count_thresholds)
+    return peak_mb(config.campaign.n_samples, n_numbers, config.abc.bootstrap, config.abc.leave_one_out)
 
 
 def stage_digests(config: Config) -> dict[str, str]:
