@@ -24,6 +24,7 @@ N, NUMBERS, TABLES, TRIALS = 20_000, 20, 400, 40
 # What once held rows x tables of all fractions, in floating point, or 500 x rows distances of each kind.
 LARGE = """\
 import resource, sys
+from pathlib import Path
 import numpy as np
 from warmlens.inference.acceptance import accept
 from warmlens.inference.calibration import leave_one_out
@@ -44,8 +45,10 @@ accepted = accept(table.distances(), "max_rank", 0.05, table.sample_id, rng).acc
 likelihood_ratio(m, accepted, counts, prior[0])
 cloud_check(table)
 information(m, prior[0], leave_one_out(table, "max_rank", 0.05, n_trials, rng, with_adjustment=True), rng)
-unit = 2**20 if sys.platform == "darwin" else 2**10
-print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit)
+if sys.platform == "darwin":
+    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20)
+else:  # there ru_maxrss begins with the memory of the process that started this one
+    print(int(Path("/proc/self/status").read_text().split("VmHWM:")[1].split()[0]) / 2**10)
 """
 
 
