@@ -29,7 +29,7 @@ from warmlens.config.file import ConfigError, parse_config
 from warmlens.config.yaml import read_yaml
 from warmlens.figures.inputs import drawn_groups, figure_inputs
 from warmlens.products.time_limit import SAMPLE_SECONDS
-from warmlens.stage_table import STAGES, campaign_stages, stage_digests, stage_settings
+from warmlens.stage_table import STAGES, answer_memory_mb, campaign_stages, stage_digests, stage_settings
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

@@ -14,6 +14,7 @@ from warmlens.inference.acceptance import accept, number_accepted, reduce_distan
 from warmlens.inference.adjustment import MIN_FOR_REGRESSION, adjust
 from warmlens.inference.bootstrap import quantiles_of_counts
 from warmlens.inference.bound import LEVEL_VALUES, weighted_quantile
+from warmlens.inference.memory import row_batches
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -80,12 +81,11 @@ def leave_one_out(
     pit, adjusted_pit = np.empty((rows.size, 2)), np.full((rows.size, 2), np.nan)
     adjusted_bounds = np.full((rows.size, LEVEL_VALUES.size), np.nan)
     others = np.arange(n - 1)
-    for start in range(0, rows.size, BATCH):
-        batch = rows[start : start + BATCH]
-        all_distances = table.distances_between(batch)  # [n_kinds, n_batch, n]
-        for i, row in enumerate(batch, start=start):
+    for batch in row_batches(rows.size, n, BATCH):
+        all_distances = table.distances_between(rows[batch])  # [n_kinds, n_batch, n]
+        for i, row in enumerate(rows[batch], start=batch.start):
             rest = np.delete(np.arange(n), row)
-            distances = all_distances[:, i - start, rest]
+            distances = all_distances[:, i - batch.start, rest]
             result = accept(distances, rule, fraction, others, rng)
             chosen = rest[result.accepted]
             accepted[i, chosen] = True

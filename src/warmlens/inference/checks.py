@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warmlens.inference.memory import row_batches
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray
 
@@ -36,8 +37,8 @@ def cloud_check(table: Table) -> CloudCheck:
     """Compare the observation's nearest-neighbour distance with those of up to `MAX_ROWS` samples."""
     chosen = np.unique(np.linspace(0, table.n - 1, min(table.n, MAX_ROWS)).astype(np.int64))
     batches = []
-    for start in range(0, chosen.size, BATCH):
-        rows = chosen[start : start + BATCH]
+    for batch in row_batches(chosen.size, table.n, BATCH):
+        rows = chosen[batch]
         between = table.distances_between(rows)
         between[:, np.arange(rows.size), rows] = np.inf
         batches.append(between.min(axis=2))

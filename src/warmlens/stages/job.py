@@ -32,7 +32,7 @@ class Job(Generic[Settings]):
     span
         Samples or positions to compute; None if the inputs say it, or for the whole.
     sample_seconds
-        Longest time of one sample; a sample that takes longer fails.
+        Longest processor time of one sample; a sample that takes longer fails.
     """
 
     stage: Stage

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +16,7 @@ from warmlens import __version__
 from warmlens.artifacts.chain import check_chains
 from warmlens.artifacts.code_version import code_commit
 from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, Header, atomic_path, open_input
+from warmlens.inference.memory import peak_mb
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE, Summary
 from warmlens.inference.table import Table
 from warmlens.inference.verdict import Reason, code_reasons, failure_reasons, misfit_reasons
@@ -23,6 +25,8 @@ from warmlens.stage_table import AbcSettings
 from warmlens.stages.job import Job
 from warmlens.stages.summaries import COMBINED
 from warmlens.types import BoolArray, FloatArray, IntArray
+
+log = logging.getLogger(__name__)
 
 _PARAMETERS = ("m_th_kev", "log10_m_halo_msun")
 _SAMPLES = ("sample_id", *_PARAMETERS, "status")
@@ -103,6 +107,9 @@ def read_samples(job: Job[Any]) -> Samples:
     for name in names:
         rows = np.concatenate([chunk[name] for chunk in chunks])[: len(good)]  # chunks may reach beyond the last
         summaries[name] = Summary(rows[good], target[name], nulls[name])
+    n_numbers = sum(values.size for values in target.values())
+    expected = peak_mb(len(table), n_numbers, settings.abc.bootstrap, settings.abc.leave_one_out)
+    log.info("%d samples with %d numbers each: at most %d MB of memory", len(table), n_numbers, expected)
     return Samples(table, good, summaries, grids, null_id, n_null_failed, reasons)
 
 
