@@ -309,7 +309,7 @@ def test_the_null_test_stands_beside_the_bound(tmp_path: Path) -> None:
     assert (place["observed"], place["rank"], place["n"]) == (4.5, 1.0, 45)
     assert place["p_value"] == pytest.approx(2 / 46)
     assert test["distance_p"]["correlation"] == pytest.approx(1 / 46)
-    assert "null test: 1 mocks without substructure failed and are left out" in found["warnings"]
+    assert "null test: 1 of 46 mocks without substructure failed and are left out" in found["warnings"]
     assert "give a bound as high" not in _warnings(tmp_path)
     with open_artifact(tmp_path / "abc.h5", "abc") as artifact:
         assert "null_summaries" in artifact.inputs

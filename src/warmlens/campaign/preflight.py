@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from warmlens.campaign.physics_check import checked_physics
 from warmlens.config.file import ConfigError
 from warmlens.config.model import Config
 from warmlens.config.observation import FitsBandBlock
@@ -35,7 +36,7 @@ def check_observation(config: Config) -> list[str]:
     """
     observation = config.observation
     if observation.kind == "artifact":
-        return []
+        return checked_physics(config, None)
     lines: list[str] = []
     problems: list[str] = []
     if observation.kind == "simulated":
@@ -53,6 +54,10 @@ def check_observation(config: Config) -> list[str]:
         lines += [
             line for band in observed.bands for line in _noise_lines(band, observation.fits[band.name], grid)
         ]
+    try:
+        lines += checked_physics(config, grid)
+    except ConfigError as error:
+        problems += error.problems
     try:
         check_field(config.halos.field_half_width_arcsec, grid, config.deflections.filter_arcsec)
     except ValueError as error:
