@@ -27,7 +27,7 @@ _FAR_IN_PIXELS = 2.0
 # Scatter of the sky over sigma: beyond the first a note, beyond the second a problem
 _NOTED_SCATTER, _REFUSED_SCATTER = 1.25, 3.0
 _NEIGHBOURS_SCATTER = 0.8  # of neighbouring pixels, that sigma is too small and not the sky full of structure
-_BRIGHT_SCATTER = 0.3  # of neighbouring bright pixels; correlated noise leaves 0.6
+_NOTED_BRIGHT, _REFUSED_BRIGHT = 0.5, 0.25  # of the brightest quarter, whose structure raises it only
 _SAME_SCATTER = 1.5  # within this factor a likely mistake explains the scatter
 _PSF_NOTED = 0.1  # pixels
 _PSF_RIM = 0.01  # of its peak
@@ -243,12 +243,15 @@ def check_noise(images: Images) -> Findings:
             found.notes.append(f"{text}: is sigma too large? chi2_red will be too small, and mocks too noisy")
         elif scatter.sky > _NOTED_SCATTER and scatter.sky_neighbours > _NEIGHBOURS_SCATTER:
             found.notes.append(f"{text}: is sigma too small, or is there no blank sky on the image?")
-        if scatter.bright_neighbours < _BRIGHT_SCATTER and not too_large:
-            found.notes.append(
-                f"{band.name}: neighbouring pixels in the brightest quarter scatter by "
-                f"{scatter.bright_neighbours:.2g} of their sigma only: is the exposure time too short, or the "
-                "noise map too large where the image is bright?"
+        if scatter.bright < _NOTED_BRIGHT and not too_large:
+            text = (
+                f"{band.name}: the brightest quarter of the pixels scatters by {scatter.bright:.2g} of its sigma"
             )
+            if band.noise.exposure_s is None:
+                found.notes.append(f"{text}: is the noise map too large where the image is bright?")
+            else:
+                text += f": is the exposure time of {band.noise.exposure_s:g} s too short?"
+                images.doubt(found, text) if scatter.bright < _REFUSED_BRIGHT else found.notes.append(text)
         if scatter.n_constant:
             found.notes.append(
                 f"{band.name}: {scatter.n_constant} used pixels equal their neighbours exactly; mask them if they "

@@ -88,10 +88,8 @@ def _sky(images: Images) -> Iterator[tuple[str, str]]:
     if frame is None:
         yield "", "positions are arcsec to the West (x) and to the North (y); no WCS is read"
     else:
-        yield (
-            "",
-            f"x to the West, y to the North; RA and Dec ({frame.frame.name.upper() if frame.is_j2000 else 'ICRS'}) by the whole WCS",
-        )
+        name = frame.frame.name.upper() if frame.is_j2000 else "ICRS"
+        yield "", f"x to the West, y to the North; RA and Dec ({name}) by the whole WCS"
 
 
 def _radec(radec: FloatArray) -> list[str]:
@@ -157,7 +155,8 @@ def _scatter(images: Images, band: Band) -> str:
         return "too few used pixels in one piece to measure the scatter of the sky"
     return (
         f"scatter by {scatter.sky * scatter.sky_sigma:.3g} e-/s, {scatter.sky:.2f} of their sigma "
-        f"({scatter.n_pixels} pixels 3 apart; neighbours {scatter.sky_neighbours:.2f})"
+        f"({scatter.n_pixels} pixels 3 apart; neighbours {scatter.sky_neighbours:.2f}); bright ones by "
+        f"{scatter.bright:.2f} or less"
     )
 
 

@@ -76,6 +76,11 @@ class Scatter:
     n_pixels: int
     n_constant: int
 
+    @property
+    def bright(self) -> float:
+        """Scatter of the brightest quarter, free of the correlation that the sky has: too high at most."""
+        return self.bright_neighbours * self.sky / self.sky_neighbours
+
 
 def measure_scatter(image: FloatArray, sigma: FloatArray, used: BoolArray) -> Scatter | None:
     """Compare the scatter of the used pixels with their noise; None if there are too few in one piece."""
