@@ -290,7 +290,18 @@ def test_a_psf_a_little_off_or_with_a_pedestal_is_a_note(folder: Path, with_map:
     (note,) = check_observation(with_map("psf", lambda image, noise: 7.0 * _shifted(psf, 0.2, 0.0)))
     assert re.search(r"\[\+0\.00, \+0\.(15|20)\] pixels off its middle: fitted positions are off by 1\d mas", note)
     (note,) = check_observation(with_map("psf", lambda image, noise: psf + 0.02 * psf.max()))
-    assert "of its peak at its rim" in note
+    assert re.search(r"\d+% of the PSF's light is in a level like that of its rim: is a background left", note)
+
+
+def test_pixels_without_data_are_notes(with_map: Callable[..., Config]) -> None:
+    def damage(image: FloatArray, noise: FloatArray) -> FloatArray:
+        image[:8, :8] = 0.0
+        image[40, 40] = -1.0
+        return image
+
+    deep, constant = check_observation(with_map("science", damage))
+    assert deep == "F140W: 1 used pixels lie more than 10 sigma below the sky; mask them if they are dead"
+    assert "36 used pixels equal their neighbours exactly; mask them if they hold no data" in constant
 
 
 @fault(

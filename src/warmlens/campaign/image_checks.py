@@ -14,7 +14,7 @@ import numpy as np
 
 from warmlens.config.model import Config
 from warmlens.imaging.grid import PixelGrid
-from warmlens.imaging.noise_checks import Scatter, measure_scatter
+from warmlens.imaging.noise_checks import DEEP, IGNORED_NOISE, Scatter, measure_scatter
 from warmlens.imaging.observation import Band
 from warmlens.imaging.psf import core_offset
 from warmlens.physics import check_field
@@ -30,7 +30,7 @@ _NEIGHBOURS_SCATTER = 0.8  # of neighbouring pixels, that sigma is too small and
 _NOTED_BRIGHT, _REFUSED_BRIGHT = 0.5, 0.25  # of the brightest quarter, whose structure raises it only
 _SAME_SCATTER = 1.5  # within this factor a likely mistake explains the scatter
 _PSF_NOTED = 0.1  # pixels
-_PSF_RIM = 0.01  # of its peak
+_PSF_RIM = 0.1  # of the sum of a PSF in a level like that of its rim
 _ARCS = (0.7, 1.3)  # Einstein radii between which the arcs lie
 _ARCS_USED = 0.25  # of their pixels: fewer, and the mask may be inverted
 _ARCS_FAVOURED = 2.0  # share of the arcs' pixels over that of all, of a mask that is cut out along the arcs
@@ -224,7 +224,7 @@ def check_noise(images: Images) -> Findings:
             given = "sigma" if read.block.sigma is not None else "weight"
             found.notes.append(
                 f"{read.band.name}: {read.n_ignored} pixels are masked by the {given} map: their noise is above "
-                "100 times that of the quiet pixels, and above their brightness"
+                f"{IGNORED_NOISE:g} times that of the quiet pixels, and above their brightness"
             )
     for number, band in enumerate(images.bands):
         scatter = images.scatter[band.name]
@@ -252,6 +252,11 @@ def check_noise(images: Images) -> Findings:
             else:
                 text += f": is the exposure time of {band.noise.exposure_s:g} s too short?"
                 images.doubt(found, text) if scatter.bright < _REFUSED_BRIGHT else found.notes.append(text)
+        if scatter.n_deep:
+            found.notes.append(
+                f"{band.name}: {scatter.n_deep} used pixels lie more than {DEEP:g} sigma below the sky; mask them "
+                "if they are dead"
+            )
         if scatter.n_constant:
             found.notes.append(
                 f"{band.name}: {scatter.n_constant} used pixels equal their neighbours exactly; mask them if they "
@@ -302,10 +307,11 @@ def check_psf(images: Images) -> Findings:
                 "smooth_model.fit.quasar_sigma_arcsec to as much"
             )
         rim = np.concatenate([band.psf[0], band.psf[-1], band.psf[:, 0], band.psf[:, -1]])
-        if band.psf.shape[0] > 1 and float(np.median(rim)) > _PSF_RIM * band.psf.max():
+        pedestal = float(np.median(rim)) * band.psf.size
+        if band.psf.shape[0] > 1 and pedestal > _PSF_RIM:
             found.notes.append(
-                f"{band.name}: the PSF still has {np.median(rim) / band.psf.max():.1%} of its peak at its rim: is "
-                "it cut too small, or is there a background in it?"
+                f"{band.name}: {pedestal:.0%} of the PSF's light is in a level like that of its rim: is a "
+                "background left in it, or is it cut too small?"
             )
     return found
 

@@ -60,7 +60,7 @@ def describe_orientation(grid: PixelGrid) -> str:
     """Return where north and east are as a viewer shows the image, row 0 at the bottom."""
     axes = np.array(grid.axes)
     # of the sky's y axis, clockwise from the rows' direction; never -0.0
-    north = np.rad2deg(np.arctan2(axes[1, 0], axes[1, 1])) + 0.0
+    north = round(float(np.rad2deg(np.arctan2(axes[1, 0], axes[1, 1]))), 1) + 0.0
     east = "left" if np.linalg.det(axes) > 0.0 else "right (mirrored)"
     return f"north {north:.1f} degrees clockwise from up, east to its {east}"
 

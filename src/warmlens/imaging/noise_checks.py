@@ -18,6 +18,7 @@ _FAINT_SHARE, _BRIGHT_SHARE = 0.25, 0.25  # of the used pixels, by smoothed brig
 _SMOOTHING = 7  # pixels: selects faint regions, not faint pixels, whose noise is negative
 _FAR_LAG = 3  # pixels; drizzling hardly correlates them
 _MIN_DIFFERENCES = 100
+DEEP = 10.0  # sigma below the sky: no noise, and no source
 
 
 class Uninformative(NamedTuple):
@@ -65,8 +66,8 @@ class Scatter:
         Median sigma of the faintest quarter.
     n_pixels
         Number of the differences 3 apart.
-    n_constant
-        Pixels that equal their neighbours exactly, so that they hold no data.
+    n_constant, n_deep
+        Pixels that equal their neighbours exactly, and that lie 10 sigma below the faintest quarter: no data.
     """
 
     sky: float
@@ -75,6 +76,7 @@ class Scatter:
     sky_sigma: float
     n_pixels: int
     n_constant: int
+    n_deep: int
 
     @property
     def bright(self) -> float:
@@ -97,7 +99,9 @@ def measure_scatter(image: FloatArray, sigma: FloatArray, used: BoolArray) -> Sc
         return None
     sky, sky_neighbours, bright_neighbours = (float(1.4826 * np.median(np.abs(values))) for values in real)
     constant = int(np.count_nonzero(near_used & (near == 0.0)))
-    return Scatter(sky, sky_neighbours, bright_neighbours, float(np.median(sigma[faint])), real[0].size, constant)
+    deep = int(np.count_nonzero(used & (image < np.median(image[faint]) - DEEP * sigma)))
+    sky_sigma = float(np.median(sigma[faint]))
+    return Scatter(sky, sky_neighbours, bright_neighbours, sky_sigma, real[0].size, constant, deep)
 
 
 def _second_differences(

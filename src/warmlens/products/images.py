@@ -209,17 +209,34 @@ def _pixel_grid(
         step = block.pixel_scale_arcsec * np.eye(2)
     else:
         step = frame.linear_step(origin, (ny, nx))
+    step = _square_step(path, step, origin, (ny, nx))
     scale = float(np.hypot(*step[:, 0]))
     axes = step / scale
-    if not np.allclose(axes.T @ axes, np.eye(2), atol=_SHAPE_TOLERANCE):
-        sides = np.hypot(*step)
-        raise ValueError(
-            f"{path}: pixels are not square ({sides[0]:.5f} x {sides[1]:.5f} arcsec, axes' scalar product "
-            f"{axes[:, 0] @ axes[:, 1]:.4f}); resample the image to square pixels"
-        )
     first = -step @ np.array(origin)
     rows = ((float(axes[0, 0]), float(axes[0, 1])), (float(axes[1, 0]), float(axes[1, 1])))
     return PixelGrid(ny, nx, scale, float(first[0]), float(first[1]), rows), origin
+
+
+def _square_step(path: Path, step: FloatArray, origin: tuple[float, float], shape: tuple[int, int]) -> FloatArray:
+    """Return the sky steps of columns and rows [2, 2] as those of square pixels.
+
+    A small distortion is left out if no pixel of the image moves by more than the tolerance of the WCS.
+    """
+    scale = float(np.hypot(*step[:, 0]))
+    axes = step / scale
+    if np.allclose(axes.T @ axes, np.eye(2), atol=_SHAPE_TOLERANCE):
+        return step
+    left, sides, right = np.linalg.svd(step)
+    mean, turned = float(sides.mean()), left @ right
+    columns, rows = border(shape)
+    moved = (mean * turned - step) @ np.array([columns - origin[0], rows - origin[1]])
+    if np.hypot(*moved).max() <= TOLERANCE_PIXELS * mean:
+        return mean * turned
+    sides = np.hypot(*step)
+    raise ValueError(
+        f"{path}: pixels are not square ({sides[0]:.5f} x {sides[1]:.5f} arcsec, axes' scalar product "
+        f"{axes[:, 0] @ axes[:, 1]:.4f}); resample the image to square pixels"
+    )
 
 
 def read_all(blocks: dict[str, FitsBandBlock]) -> tuple[ReadBand, ...]:
