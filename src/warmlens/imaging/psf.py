@@ -72,6 +72,8 @@ def core_offset(psf: FloatArray) -> tuple[float, float]:
     for _ in range(_CORE_STEPS):
         distance2 = (columns - centroid[0]) ** 2 + (rows - centroid[1]) ** 2
         weight = np.maximum(core, 0.0) * np.exp(-0.5 * distance2 / width**2)
+        if not weight.sum() > 0.0:  # it has left the light: no core
+            break
         # a Gaussian core under its own Gaussian moves the centroid half of the way
         moved = [np.sum(weight * (axis - c)) for axis, c in zip((columns, rows), centroid, strict=True)]
         centroid += 2.0 * np.array(moved) / weight.sum()
