@@ -155,7 +155,7 @@ class SmoothModelBlock(Block):
     fit_background: bool = Field(description="Fit a constant level per band")
     source: SourceBlock
     ridge: Positive = Field(description="Weak Gaussian prior on the amplitudes of the unit-norm columns")
-    chi2_red_range: Interval = Field(description="Above is an error, below a warning in the report")
+    chi2_red_range: Interval = Field(description="Above is an error, below a warning, far below an error")
     allow_poor_fit: bool = Field(description="Only warn if a fit is at a limit, off the gate or not converged")
     fit: FitBlock | None = None
 
