@@ -364,6 +364,26 @@ def test_chi2_below_the_range_is_a_warning(folder: Path, caplog: pytest.LogCaptu
     assert warning in caplog.text
 
 
+@pytest.mark.parametrize(("factor", "refused"), [(1.1, False), (1.5, True), (30.0, True)])
+def test_chi2_far_below_the_range_is_refused(
+    factor: float, refused: bool, observed: Observation, tmp_path: Path
+) -> None:
+    """With a noise map that is too large; how far below is refused goes with the range."""
+    (band,) = observed.bands
+    noise = NoiseModel(None, None)
+    larger = replace(observed, bands=(replace(band, sigma=factor * band.sigma, noise=noise),))
+    provenance = Provenance("observation", {"test": 1})
+    write_artifact(tmp_path / "observation.h5", provenance, *observation_datasets(larger))
+    block = smooth_block() | {"mode": "given"}
+    if refused:
+        with pytest.raises(ValueError, match=r"lies far below 0\.9.*scatter of the sky \(warmlens validate\)"):
+            run(block, tmp_path)
+        block |= {"chi2_red_range": [0.6, 1.1]} if factor < 2.0 else {"allow_poor_fit": True}
+    with open_artifact(run(block, tmp_path), "smooth_model") as artifact:
+        (warning,) = artifact.metadata["warnings"]
+    assert "below 0." in warning
+
+
 @pytest.mark.parametrize("mode", ["given", "fit"])
 def test_clumps(mode: str, clumpy: Observation) -> None:
     """None and 0 are the same; 15 allowed find the feature, and chi2 falls to the noise."""

@@ -210,6 +210,7 @@ FURTHER = (
     "NAXIS3", "GROUPS", "PCOUNT", "GCOUNT", "BLANK", "WCSAXES", "CDELT1", "CROTA2", "PC1_1", "CUNIT1", "LONPOLE",
     "A_ORDER", "PV2_1", "CPDIS1", "TFIELDS", "XTENSION", "ZIMAGE", "CONTINUE", "HIERARCH NAXIS", "CHECKSUM",
     "naxis", "", "COMMENT", "END", "CRPIX99", "EQUINOX", "RADESYS", "DATE-OBS", "MJD-OBS",
+    "LATPOLE", "PV1_3", "PS1_1", "PC001001",
 )  # fmt: skip
 CARD_VALUES = st.one_of(
     st.integers(-(10**19), 10**19),

@@ -19,16 +19,15 @@ from warmlens.physics import halo_generator
 from warmlens.types import FloatArray
 
 _NODES = 401  # of the prior in each parameter
-_SIDE = 200  # pixels of the grid that stands for an image that is not read
 
 
-def checked_physics(config: Config, grid: PixelGrid | None) -> list[str]:
+def checked_physics(config: Config, grid: PixelGrid) -> list[str]:
     """Evaluate lens, light and halos once.
 
     Parameters
     ----------
     grid
-        Pixels of the image; None if it is not read: a square that the field of the subhalos covers stands for it.
+        Pixels of the image.
 
     Returns
     -------
@@ -40,7 +39,7 @@ def checked_physics(config: Config, grid: PixelGrid | None) -> list[str]:
     ConfigError
         One line per problem.
     """
-    x, y = (grid or _stand_in(config)).coordinates()
+    x, y = grid.coordinates()
     smooth, simulated = config.smooth_model, config.observation.simulated
     problems: list[str] = []
     blocks = [("smooth_model", smooth.lens, smooth.lens_light)]
@@ -51,8 +50,6 @@ def checked_physics(config: Config, grid: PixelGrid | None) -> list[str]:
     for key, lens, light in blocks:
         for components in _components(key, lens, light):
             problems += model_problems(components, x, y, config.unusual)
-    if config.observation.kind != "fits":  # those of a FITS observation are compared with its light
-        problems += _off_the_image("smooth_model.quasar_images", smooth.quasar_images, x, y)
     if not problems:
         problems += _fit_problems(config)
     lines: list[str] = []
@@ -64,11 +61,6 @@ def checked_physics(config: Config, grid: PixelGrid | None) -> list[str]:
     if problems:
         raise ConfigError(problems)
     return lines
-
-
-def _stand_in(config: Config) -> PixelGrid:
-    half = max(config.halos.field_half_width_arcsec - 3.0 * config.deflections.filter_arcsec, 1.0)
-    return PixelGrid.centred((_SIDE, _SIDE), 2.0 * half / _SIDE)
 
 
 def _components(key: str, lens: LensBlock, light: LensLightBlock) -> tuple[Components, Components]:

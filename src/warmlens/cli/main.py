@@ -241,17 +241,29 @@ def systematics(
 
 
 @app.command()
-def validate(configfile: ConfigFiles = None) -> None:
-    """Check config.yaml, overlays and the images that they name; print one line per problem."""
+def validate(
+    configfile: ConfigFiles = None,
+    figure: Annotated[
+        Path | None, typer.Option(help="Draw the images as the program takes them: .png, .pdf or .svg.")
+    ] = None,
+) -> None:
+    """Check config.yaml, overlays and the images that they name; print what they are, or one line per problem."""
     from warmlens.campaign.files import chunks, shards
-    from warmlens.campaign.preflight import check_observation
+    from warmlens.campaign.image_page import describe_images, draw_images
+    from warmlens.campaign.preflight import check_images, simulate_images
 
-    lines = check_observation(_load(configfile))
-    config = _load_campaign(configfile)
-    for line in lines:
+    images = simulate_images(_load(configfile))
+    for line in describe_images(images):
         typer.echo(visible(line))
+    if figure is not None:
+        draw_images(images, figure)
+        typer.echo(f"\nfigure: {visible(str(figure))}")
+    notes = check_images(images)  # after the page and the figure, which show what is wrong
+    if notes:
+        typer.echo(visible("\nlook at this:" + "".join(f"\n- {note}" for note in notes)))
+    config = _load_campaign(configfile)
     typer.echo(
-        f"valid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
+        f"\nvalid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
         f"{len(shards(config))} shards of the scan operator, results in {config.results}"
     )
 

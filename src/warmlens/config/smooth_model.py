@@ -180,7 +180,7 @@ class SmoothModelBlock(Block):
         description="Weak Gaussian prior on the amplitudes of the unit-norm columns"
     )
     chi2_red_range: Annotated[Interval, Usual(0, 20)] = Field(
-        description="Above is an error, below a warning in the report"
+        description="Above is an error, below a warning, far below an error"
     )
     allow_poor_fit: bool = Field(description="Only warn if a fit is at a limit, off the gate or not converged")
     fit: FitBlock | None = None
