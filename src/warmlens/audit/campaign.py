@@ -11,9 +11,10 @@ from typing import Any, Literal
 from warmlens.artifacts.chain import Finding, Record, examine
 from warmlens.artifacts.file import ArtifactError, file_digest
 from warmlens.artifacts.names import CHUNKED, MANIFEST, SINGLE
-from warmlens.audit.manifest import ManifestFile, derived_files, read_manifest
+from warmlens.campaign.derived import derived_files
 from warmlens.campaign.files import artifact_files
 from warmlens.config.model import Config
+from warmlens.products.manifest import ManifestFile, read_manifest
 from warmlens.stage_table import stage_digests, stage_settings
 
 ManifestState = Literal["present", "none", "damaged"]

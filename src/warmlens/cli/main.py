@@ -155,8 +155,8 @@ def audit(
 ) -> None:
     """Hash every file and follow the chain from the posterior to the observation; exit code 1 if any is wrong."""
     from warmlens.audit.campaign import audit_campaign
-    from warmlens.audit.manifest import derived_files
     from warmlens.audit.report import as_json, print_audit
+    from warmlens.campaign.derived import derived_files
     from warmlens.campaign.files import artifact_files
     from warmlens.campaign.status import read_campaign
     from warmlens.cli.progress import progress
@@ -183,7 +183,8 @@ def manifest(
     """Write manifest.json and ro-crate-metadata.json of a finished campaign, for publication."""
     from warmlens.artifacts.names import CRATE, MANIFEST
     from warmlens.audit.crate import write_crate
-    from warmlens.audit.manifest import derived_files, make_manifest, write_manifest
+    from warmlens.audit.manifest import make_manifest, write_manifest
+    from warmlens.campaign.derived import derived_files
     from warmlens.campaign.files import artifact_files
     from warmlens.campaign.status import read_campaign
     from warmlens.cli.progress import progress
