@@ -7,7 +7,7 @@ ledger that was written with them, and the manifest with the files that it lists
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from warmlens.artifacts.chain import Finding
@@ -156,7 +156,9 @@ def _remembering(known: Mapping[Path, str]) -> Digests:
     return digest
 
 
-def derived_findings(config: Config, digests: Mapping[Path, str] | None = None) -> list[Finding]:
+def derived_findings(
+    config: Config, digests: Mapping[Path, str] | None = None, wrong: Collection[Path] = ()
+) -> list[Finding]:
     """Return which derived files in `config.results` are not what they derive from; no artifact is hashed.
 
     Files that are missing, and figures without a ledger as of earlier versions, are no finding: the workflow makes
@@ -169,13 +171,14 @@ def derived_findings(config: Config, digests: Mapping[Path, str] | None = None) 
         Configuration of the campaign.
     digests
         Digests of artifacts that are known already, by path; of others the header is read.
+    wrong
+        Artifacts that are known to be wrong, with which the manifest is not compared.
     """
     digest = _remembering(digests or {})
     findings = list(_answer_findings(config))
     for ledger in ledgers(config):
         findings += _made_findings(config, ledger, digest)
-    wrong = {finding.path for finding in findings}
-    return findings + _manifest_findings(config, wrong, digest)
+    return findings + _manifest_findings(config, {*wrong, *(finding.path for finding in findings)}, digest)
 
 
 def _answer_findings(config: Config) -> Iterator[Finding]:

@@ -7,12 +7,11 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from warmlens.artifacts.chain import check_chains
 from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens.campaign.answer import check_chain
 from warmlens.campaign.derived import figure_inputs, needed_paths
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.model import Config
-from warmlens.stage_table import stage_digests
 
 log = logging.getLogger(__name__)
 
@@ -87,4 +86,4 @@ def _check(inputs: Inputs, folder: Path, config: Config) -> None:
             f"{missing[0]}: no such artifact ({len(missing)} of {len(inputs)} are missing for this figure); make "
             f"it with: {remaking_command(folder, name)}"
         )
-    check_chains(inputs.values(), stage_digests(config))
+    check_chain(config, inputs.values())
