@@ -65,8 +65,11 @@ def _manifest_commands(audit: CampaignAudit) -> tuple[str, ...]:
 
 
 def _is_wrong(record: Record) -> bool:
-    """Return whether a file is to be made again; not for an input that is not there, which comes first."""
-    return any(finding.kind != "missing" and finding.absent is None for finding in record.findings)
+    """Return whether a file is to be removed; not for an input that is missing or damaged, which comes first."""
+    return any(
+        finding.kind != "missing" and finding.absent is None and not (finding.kind == "inputs" and finding.cause)
+        for finding in record.findings
+    )
 
 
 def _lacks_artifact(record: Record) -> bool:
@@ -80,6 +83,8 @@ def _outside_advice(audit: CampaignAudit) -> tuple[str, ...]:
         for finding in record.findings if record.stage == "observation" else ():
             if finding.absent:
                 texts.append(f"put {finding.absent} back: the campaign cannot make it")
+            elif finding.kind == "inputs" and finding.cause:
+                texts.append(f"{finding.path}: {finding.problem}; make it readable: the campaign cannot make it")
             elif finding.kind == "inputs":
                 texts.append(
                     f"{finding.path}: {finding.problem}; put the old file back if the change was not meant, or "

@@ -79,8 +79,8 @@ def answer_problems(config: Config) -> list[str]:
     if names:
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         lines.append(
-            f"not what they derive from: {', '.join(names[:_SHOWN])}{more}; `warmlens audit {config.results}` says "
-            "how to mend it"
+            f"not what they derive from: {', '.join(names[:_SHOWN])}{more}; "
+            f"`warmlens audit {config.results}` says how to mend it"
         )
     return lines
 
