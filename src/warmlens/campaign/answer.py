@@ -50,7 +50,8 @@ def check_chain(config: Config, paths: Iterable[Path]) -> None:
     ArtifactError
         Naming the first artifact that does not fit, why, and what to do.
     """
-    files = dict.fromkeys(paths, "")
+    # inputs lie beside the artifact itself, not beside a link to it
+    files = {path.resolve() if path.is_symlink() else path: "" for path in paths}
     absent: list[Path] = []
     for record in walk(files, stage_digests(config), hashed=files):
         for finding in record.findings:
