@@ -232,6 +232,8 @@ def test_answer_of_a_broken_chain_is_of_no_use(use: str, config: Config, outcome
     outcome.stops(str(error.value), "has changed since", CHUNK.name, f"`warmlens resume {RESULTS}`")
     removed = {path.relative_to(RESULTS).as_posix() for path in _mending(config).remove}
     assert removed >= {"summaries/chunk-0000000-0000007.h5", "abc.h5", "report.html"}, "what records another, too"
+    (RESULTS / "manifest.json").write_text("{")
+    assert CHUNK in _mending(config).remove, "abc.h5 records its settings"
 
 
 def test_answer_is_printed_where_its_origins_are_gone(config: Config, caplog: pytest.LogCaptureFixture) -> None:

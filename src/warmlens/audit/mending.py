@@ -38,7 +38,8 @@ def mending(audit: CampaignAudit, overlays: Sequence[Path] = ()) -> Mending:
     """Return how to mend what an audit of a campaign has found, with `overlays` if it was compared with these."""
     records = (*audit.artifacts, *audit.files)
     of_manifest = [finding.path for finding in audit.manifest_findings]
-    wrong = [record.path for record in records if _is_wrong(record)]
+    exchanged = _exchanged(audit.artifacts)
+    wrong = [record.path for record in records if _is_wrong(record) or record.path in exchanged]
     missing = any(record.verdict == "missing" or _lacks_artifact(record) for record in records)
     advice = _outside_advice(audit) + _discard_advice(audit)
     if not wrong and not missing:
@@ -70,6 +71,27 @@ def _is_wrong(record: Record) -> bool:
         finding.kind != "missing" and finding.absent is None and not (finding.kind == "inputs" and finding.cause)
         for finding in record.findings
     )
+
+
+def _exchanged(artifacts: Sequence[Record]) -> set[Path]:
+    """Return the sound artifacts whose content is not what another was made from, though of the same settings.
+
+    The answer records the settings of every stage before it. An artifact with these has the same content whenever
+    it is made, so that one that has not was exchanged; one of new settings has just been made, and stays.
+    """
+    answers = [record.header.settings for record in artifacts if record.header]
+    upstream: dict[str, str] = next((settings["upstream"] for settings in answers if "upstream" in settings), {})
+    by_place = {record.path.resolve(): record for record in artifacts}
+    exchanged = set()
+    for user in artifacts:
+        for name, source in user.sources.items() if user.header else ():
+            record = by_place.get(source.resolve())
+            if record is None or record.header is None or record.findings:
+                continue
+            same_settings = upstream.get(record.stage) == record.header.settings_sha256
+            if same_settings and user.header and user.header.inputs[name]["digest"] != record.header.digest:
+                exchanged.add(record.path)
+    return exchanged
 
 
 def _lacks_artifact(record: Record) -> bool:
