@@ -16,7 +16,7 @@ from warmlens.artifacts.file import ArtifactError
 from warmlens.audit.campaign import audit_campaign
 from warmlens.audit.crate import write_crate
 from warmlens.audit.manifest import make_manifest, write_manifest
-from warmlens.audit.mending import Mending, mending
+from warmlens.audit.mending import Mending, mending, remove_files
 from warmlens.campaign.answer import answer_problems
 from warmlens.campaign.derived import derived_findings
 from warmlens.campaign.status import read_campaign
@@ -114,6 +114,16 @@ def test_numbers_of_the_answer_are_made_again_from_it(name: str, copy_of: Callab
     planned = project.planned()
     assert planned.keys() >= {"abc", "report", "manifest"}
     assert not planned.keys() & {"halos", "scans", "summaries", "figures_lens"}
+
+
+def test_a_folder_in_the_place_of_a_file_is_removed(config: Config) -> None:
+    path = RESULTS / "abc.json"
+    path.unlink()
+    path.mkdir()
+    mend = _mending(config)
+    assert mend.commands[0] == f"rm -r {path}"
+    remove_files(mend.remove)
+    assert not path.exists()
 
 
 def test_layout_of_the_numbers_is_free(config: Config) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -51,7 +52,8 @@ def mending(audit: CampaignAudit, overlays: Sequence[Path] = ()) -> Mending:
         words = [word for path in overlays for word in ("--configfile", str(path))]
         commands.append(shlex.join(["warmlens", "audit", str(results), *words, "--remove"]))
     elif remove:
-        commands.append(shlex.join(["rm", *(str(results / path.relative_to(audit.results)) for path in remove)]))
+        words = ["rm", "-r"] if any(path.is_dir() for path in remove) else ["rm"]
+        commands.append(shlex.join([*words, *(str(results / path.relative_to(audit.results)) for path in remove)]))
     commands.append(_start_command(results, overlays))
     return Mending((*advice, *moved), tuple(remove), tuple(commands))
 
@@ -143,3 +145,12 @@ def _working_folder(results: Path) -> tuple[Path | None, Path, tuple[str, ...]]:
         "work there, with the results at that place"
     )
     return None, recorded, (problem,)
+
+
+def remove_files(paths: Sequence[Path]) -> None:
+    """Delete files, and folders in the place of files."""
+    for path in paths:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)
