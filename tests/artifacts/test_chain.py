@@ -15,8 +15,8 @@ from warmlens.artifacts.file import (
     Provenance,
     write_artifact,
 )
-from warmlens.audit.campaign import differences
 from warmlens.audit.report import age
+from warmlens.campaign.answer import differences
 from warmlens.campaign.records import check_unrecorded
 from warmlens.config.digest import settings_digest
 

@@ -24,6 +24,7 @@ from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.observation import Observation, checked_band
 from warmlens.products.observation import observation_datasets
 from warmlens.products.samples import FAILED_HERE, SampleTable
+from warmlens.report import combination
 from warmlens.report.combination import combine_results
 from warmlens.report.result import companions, others
 from warmlens.sampling import draw_parameters
@@ -431,11 +432,20 @@ def lenses(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
     return folders
 
 
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answers without a campaign: tests/workflow/test_answers.py is about their chain."""
+    monkeypatch.setattr(combination, "open_answer", lambda folder: open_artifact(folder / "abc.h5", "abc"))
+
+
 IMAGES = np.random.default_rng(8).normal(1.0, 0.3, (3, 20, 20))
 EVERYWHERE = np.ones((20, 20), dtype=bool)
 
 
-def test_lenses_are_combined_by_their_likelihood_ratios(lenses: list[Path], tmp_path: Path) -> None:
+@pytest.mark.usefixtures("unchecked")
+def test_lenses_are_combined_by_their_likelihood_ratios(
+    unchecked: None, lenses: list[Path], tmp_path: Path
+) -> None:
     for folder, image in zip(lenses, IMAGES, strict=False):
         _observe(folder, {"F814W": image}, EVERYWHERE, {})
     found = combine_results(lenses, tmp_path / "both.json")
@@ -449,6 +459,7 @@ def test_lenses_are_combined_by_their_likelihood_ratios(lenses: list[Path], tmp_
         combine_results(lenses[:1], None)
 
 
+@pytest.mark.usefixtures("unchecked")
 @fault("Answers", "one image is combined with itself", "other summaries, mask, cutout, bands or noise", quick=True)
 @pytest.mark.parametrize("other", ["summaries", "mask", "cutout", "band", "truth", "counts"])
 def test_one_observation_counts_once(lenses: list[Path], outcome: Outcome, other: str) -> None:
@@ -472,6 +483,7 @@ def test_one_observation_counts_once(lenses: list[Path], outcome: Outcome, other
     outcome.stops(str(refused.value), "are of the same observation", str(lenses[0]), str(lenses[1]))
 
 
+@pytest.mark.usefixtures("unchecked")
 def test_images_of_whole_counts_of_two_lenses_are_two_lenses(lenses: list[Path]) -> None:
     for folder, image in zip(lenses, IMAGES, strict=False):
         _observe(folder, {"F814W": np.round(5.0 * image)}, EVERYWHERE, {})

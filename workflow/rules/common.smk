@@ -13,21 +13,21 @@ from warmlens.artifacts.names import (
     CONFIG,
     CRATE,
     FIGURE_VERSION,
+    LEDGER,
     MANIFEST,
     MANIFEST_VERSION,
     REPORT,
     REPORT_VERSION,
     SETTINGS,
 )
-from warmlens.audit.manifest import derived_files
 from warmlens.campaign import locks
+from warmlens.campaign.derived import REPORT_LEDGER, derived_files, drawn_groups, figure_inputs
 from warmlens.campaign.files import artifact_files, resolve_window, stage_inputs
 from warmlens.campaign.records import check_unrecorded
 from warmlens.campaign.settings import write_settings
 from warmlens.config.digest import canonical_json, settings_digest
 from warmlens.config.file import ConfigError, parse_config
 from warmlens.config.yaml import read_yaml
-from warmlens.figures.inputs import drawn_groups, figure_inputs
 from warmlens.products.time_limit import SAMPLE_SECONDS
 from warmlens.stage_table import STAGES, answer_memory_mb, campaign_stages, stage_digests, stage_settings
 

@@ -22,6 +22,7 @@ TABLE = "abc.csv"
 NUMBERS = "abc.json"
 REPORT = "report.html"
 REPORT_VERSION = 3
+LEDGER = "derived/{name}.json"  # what a figure, or the report, was made from
 MANIFEST = "manifest.json"
 CRATE = "ro-crate-metadata.json"  # as RO-Crate wants it
 MANIFEST_VERSION = 1

@@ -13,6 +13,7 @@ import numpy as np
 
 from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
 from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.answer import open_answer
 from warmlens.inference.bound import HEADLINE, LEVELS
 from warmlens.inference.combine import combine
 from warmlens.inference.likelihood import RATIOS, LikelihoodRatio
@@ -40,7 +41,7 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     warnings: list[str] = []
     verdicts: dict[str, Verdict] = {}
     for folder in results:
-        with open_artifact(folder / SINGLE["abc"], "abc") as artifact:
+        with open_answer(folder) as artifact:
             lenses.append(_read_ratio(artifact))
             verdicts[str(folder)] = artifact.metadata["verdict"]
             warnings += [f"{folder}: {text}" for text in artifact.metadata["warnings"]]
