@@ -3,23 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from warmlens.artifacts.chain import Finding, Record, examine
 from warmlens.artifacts.file import ArtifactError, file_digest
 from warmlens.artifacts.names import CHUNKED, MANIFEST, SINGLE
 from warmlens.audit.manifest import ManifestFile, derived_files, read_manifest
 from warmlens.campaign.files import artifact_files
+from warmlens.campaign.start import differences
 from warmlens.config.model import Config
 from warmlens.stage_table import stage_digests, stage_settings
 
 ManifestState = Literal["present", "none", "damaged"]
-
-_NONE = "none"
-_SHOWN = 3  # settings that differ, by name; the others are counted
 
 
 @dataclass(frozen=True)
@@ -121,30 +119,6 @@ def _name_settings(record: Record, config: Config) -> Record:
         for finding in record.findings
     )
     return dataclasses.replace(record, findings=findings)
-
-
-def differences(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> str:
-    """Return in words which settings differ: the version of the stage's code first, then keys with both values."""
-    before, now = dict(_leaves(recorded)), dict(_leaves(current))
-    keys = [key for key in {**before, **now} if before.get(key, _NONE) != now.get(key, _NONE)]
-    keys.sort(key=lambda key: key != "stage_version")
-    parts = [_difference(key, before.get(key, _NONE), now.get(key, _NONE)) for key in keys[:_SHOWN]]
-    return ", ".join(parts) + (f" and {len(keys) - _SHOWN} more" if len(keys) > _SHOWN else "")
-
-
-def _difference(key: str, before: Any, now: Any) -> str:
-    if key.startswith("upstream."):
-        return f"the settings of {key.removeprefix('upstream.')} have changed"
-    name = "version of the stage's code" if key == "stage_version" else key
-    return f"{name} was {before}, is now {now}"
-
-
-def _leaves(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _strays(results: Path, expected: Mapping[Path, str]) -> list[str]:
