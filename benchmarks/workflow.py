@@ -34,7 +34,7 @@ from warmlens.artifacts.file import (
     write_artifact,
 )
 from warmlens.artifacts.names import CONFIG, CRATE, MANIFEST
-from warmlens.audit.manifest import derived_files
+from warmlens.campaign.derived import derived_files
 from warmlens.campaign.files import artifact_files
 from warmlens.campaign.snakemake import SNAKEMAKE, remaking_command
 from warmlens.campaign.status import read_campaign

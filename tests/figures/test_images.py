@@ -11,11 +11,11 @@ import pytest
 from matplotlib.figure import Figure
 
 from warmlens.artifacts.file import open_artifact
+from warmlens.campaign.derived import figure_inputs
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
 from warmlens.figures.draw.style import house_style
 from warmlens.figures.halo_maps import SampleMaps, draw_deflections, draw_masses, read_masses, tabulate
-from warmlens.figures.inputs import figure_inputs
 from warmlens.figures.psf import radial_profile
 from warmlens.figures.recipe import map_table
 from warmlens.figures.samples import Sample

@@ -13,11 +13,12 @@ from typer.testing import CliRunner
 
 from warmlens.artifacts.file import ArtifactError
 from warmlens.artifacts.names import CONFIG, FIGURES
+from warmlens.campaign.derived import NEEDED, figure_inputs
 from warmlens.campaign.files import stage_files
 from warmlens.cli.main import app
 from warmlens.config.model import Config
 from warmlens.figures import CAPTIONS, registry
-from warmlens.figures.inputs import NEEDED, figure_inputs, find_inputs
+from warmlens.figures.inputs import find_inputs
 from warmlens.figures.recipe import Recipe
 
 PAPER = {str(number) for number in range(1, 9)}

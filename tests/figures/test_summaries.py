@@ -12,11 +12,11 @@ import pandas as pd
 import pytest
 
 from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.campaign.derived import figure_inputs
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config
 from warmlens.figures import correlation_by_halo, samples
 from warmlens.figures.draw.style import house_style
-from warmlens.figures.inputs import figure_inputs
 
 
 @pytest.fixture(scope="module")

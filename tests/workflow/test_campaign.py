@@ -16,7 +16,7 @@ import pytest
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import CHUNKED, FIGURE_GROUPS, FIGURES
-from warmlens.figures.inputs import NEEDED
+from warmlens.campaign.derived import NEEDED
 
 from ..reliability import Outcome, fault
 from .conftest import BIN, N_CHUNKED_STAGES, Project

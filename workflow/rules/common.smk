@@ -15,14 +15,15 @@ from warmlens.artifacts.names import (
     CRATE,
     FIGURE_VERSION,
     FILES,
+    LEDGER,
     MANIFEST,
     MANIFEST_VERSION,
     REPORT,
     REPORT_VERSION,
     SETTINGS,
 )
-from warmlens.audit.manifest import derived_files
 from warmlens.campaign import locks
+from warmlens.campaign.derived import REPORT_LEDGER, derived_files, drawn_groups, figure_inputs
 from warmlens.campaign.files import artifact_files, note_name, resolve_window, stage_inputs
 from warmlens.campaign.settings import LISTED, write_settings
 from warmlens.campaign.start import check_consent, compare_present, order_times, write_started
@@ -30,7 +31,6 @@ from warmlens.campaign.status import failure_lines, note_ended
 from warmlens.config.digest import canonical_json, settings_digest
 from warmlens.config.file import ConfigError, parse_config
 from warmlens.config.yaml import read_yaml
-from warmlens.figures.inputs import drawn_groups, figure_inputs
 from warmlens.products.time_limit import SAMPLE_SECONDS
 from warmlens.stage_table import STAGES, campaign_stages, stage_settings
 
@@ -57,9 +57,8 @@ if workflow.is_main_process:
             print(f"{n_changed} finished files were older than what they were made from: times set", file=sys.stderr)
     except (ArtifactError, ConfigError) as error:
         raise WorkflowError(str(error)) from None
-    FORCED.update(map(str, PRESENT.broken))
-    if PRESENT.describe():
-        print(PRESENT.describe(), file=sys.stderr)
+    FORCED.update(map(str, PRESENT.to_make))
+    print(*filter(None, (PRESENT.describe(), PRESENT.describe_derived())), sep="\n", end="", file=sys.stderr)
 
 
 wildcard_constraints:

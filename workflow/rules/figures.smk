@@ -8,6 +8,7 @@ for group, names in DRAWN.items():
             unique(path for figure in names for path in figure_inputs(CAMPAIGN, figure).values()),
         output:
             ensure(pictures(names), non_empty=True),
+            ensure([results(LEDGER.format(name=name)) for name in names], non_empty=True),
         params:
             version=FIGURE_VERSION,
             folder=CAMPAIGN.results,  # whose configuration the artifacts are checked against

@@ -5,7 +5,8 @@ rule report:
         [results(name) for name in ANSWER_FILES[ANSWER]],
         [pictures(names) for names in DRAWN.values()],
     output:
-        ensure(results(REPORT), non_empty=True),
+        page=ensure(results(REPORT), non_empty=True),
+        ledger=ensure(results(REPORT_LEDGER), non_empty=True),
     params:
         version=REPORT_VERSION,
         folder=CAMPAIGN.results,
@@ -19,4 +20,4 @@ rule report:
     message:
         "report: one page of everything"
     shell:
-        "warmlens report {params.folder:q} --output {output:q} > {log:q} 2>&1"
+        "warmlens report {params.folder:q} --output {output.page:q} > {log:q} 2>&1"

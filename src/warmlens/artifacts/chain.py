@@ -30,12 +30,16 @@ _THREADS = 2  # HDF5 reads one dataset at a time; the other thread hashes meanwh
 
 @dataclass(frozen=True)
 class Finding:
-    """Something wrong with one artifact, or another file of a campaign; `cause` is the error of reading it."""
+    """Something wrong with one artifact, or another file of a campaign.
+
+    `cause` is the error of reading it. `absent` is the input that is not there, if that is what is wrong.
+    """
 
     path: Path
     problem: str
     kind: Verdict
     cause: Exception | None = field(default=None, compare=False)
+    absent: Path | None = None
 
     def to_error(self) -> ArtifactError:
         """Return the error for a program that needs the artifact."""
@@ -115,7 +119,7 @@ class Chain:
             label = f"its input {name} ({recorded['path']})"
             try:
                 if not os.path.exists(source):  # noqa: PTH110 (False for a path that the system refuses)
-                    yield Finding(header.path, f"{label} is missing", "inputs")
+                    yield Finding(header.path, f"{label} is missing", "inputs", absent=source)
                 elif self._digest(source, header.stage) != recorded["digest"]:
                     yield Finding(header.path, f"{label} has changed since", "inputs")
             except (ArtifactError, OSError) as error:
@@ -154,7 +158,8 @@ def walk(
     Yields
     ------
     Record
-        Of all `files` in their order, then of each other artifact that a sound one was made from.
+        Of all `files` in their order, then of each other artifact that one without fault was made from. An input
+        that is not there is no fault of the others.
     """
     chain = Chain(expected_settings)
 
@@ -169,9 +174,10 @@ def walk(
             sources: set[Path] = set()
             for record in pool.map(compare, files.keys(), files.values()):
                 yield record
+                absent = [finding.absent for finding in record.findings]
                 # those of an observation are files of the user
-                if record.header and not record.findings and record.header.stage != "observation":
-                    sources.update(path.resolve() for path in record.sources.values())
+                if record.header and None not in absent and record.header.stage != "observation":
+                    sources.update(path.resolve() for path in record.sources.values() if path not in absent)
             files = dict.fromkeys(sorted(sources - seen), "")
             seen |= sources
 

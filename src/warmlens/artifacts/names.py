@@ -25,6 +25,7 @@ TABLE = "abc.csv"
 NUMBERS = "abc.json"
 REPORT = "report.html"
 REPORT_VERSION = 2
+LEDGER = "derived/{name}.json"  # what a figure, or the report, was made from
 MANIFEST = "manifest.json"
 CRATE = "ro-crate-metadata.json"  # as RO-Crate wants it
 MANIFEST_VERSION = 1

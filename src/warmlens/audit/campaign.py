@@ -10,12 +10,13 @@ from typing import Literal
 
 from warmlens.artifacts.chain import Finding, Record, examine
 from warmlens.artifacts.file import ArtifactError, file_digest
-from warmlens.artifacts.names import CHUNKED, MANIFEST, SINGLE
-from warmlens.audit.manifest import ManifestFile, derived_files, read_manifest
+from warmlens.artifacts.names import CHUNKED, CRATE, MANIFEST, SINGLE
+from warmlens.campaign.answer import settings_changes
+from warmlens.campaign.derived import derived_files, derived_findings, ledgers
 from warmlens.campaign.files import artifact_files
-from warmlens.campaign.start import differences
 from warmlens.config.model import Config
-from warmlens.stage_table import stage_digests, stage_settings
+from warmlens.products.manifest import Manifest, ManifestFile, read_manifest
+from warmlens.stage_table import stage_digests
 
 ManifestState = Literal["present", "none", "damaged"]
 
@@ -24,7 +25,8 @@ ManifestState = Literal["present", "none", "damaged"]
 class CampaignAudit:
     """Result of an audit: one record per artifact, and one per other file, with its kind in place of a stage.
 
-    Other files are compared with the manifest, if it is present; `manifest_findings` are about it as a whole.
+    `manifest_findings` are about the manifest and the crate as a whole. Nothing is known about `unchecked` files:
+    there is no manifest, and no ledger.
     """
 
     results: Path
@@ -33,6 +35,7 @@ class CampaignAudit:
     manifest: ManifestState
     manifest_findings: tuple[Finding, ...]
     notes: tuple[str, ...]
+    unchecked: frozenset[Path] = frozenset()
 
     @property
     def findings(self) -> list[Finding]:
@@ -49,69 +52,82 @@ class CampaignAudit:
 def audit_campaign(config: Config, done: Callable[[Path], None] = lambda _: None) -> CampaignAudit:
     """Re-hash all files in `config.results`, follow the chain of the artifacts, and compare with the manifest.
 
-    `done` is called with the path of every file, from several threads.
+    Files that derive from artifacts are compared with these, whatever the manifest lists. `done` is called with
+    the path of every file, from several threads.
     """
     results = Path(config.results)
     expected, derived = artifact_files(config), derived_files(config)
     records = [_name_settings(record, config) for record in examine(expected, stage_digests(config), done)]
-    files = [Record(path, kind) for path, kind in derived.items() if path.exists()]
     notes = _strays(results, expected)
-    manifest = None
-    state: ManifestState = "none"
-    wrong: list[Finding] = []
+    state, manifest = _read_state(results)
+    if manifest is not None:
+        listed = {results / each.path: each for each in manifest.files}
+        records = [_compare_artifact(record, listed.get(record.path)) for record in records]
+    digests = {record.path: record.header.digest for record in records if record.header}
+    wrong = frozenset(record.path for record in records if record.findings)
+    findings = derived_findings(config, digests, wrong)
+    of_manifest = [finding for finding in findings if finding.path in (results / MANIFEST, results / CRATE)]
+    unrecorded = _unrecorded(config, manifest)
+    files = []
+    for path, kind in derived.items():
+        problems = tuple(finding for finding in findings if finding.path == path)
+        if not path.exists() and state != "none" and not (unrecorded and kind == "record"):
+            problems = (Finding(path, "missing", "missing"),)
+        if problems or path.exists():
+            files.append(Record(path, kind, findings=problems))
+            done(path)
+    if unrecorded:
+        notes.append(
+            f"{results}: no record of what figures and report were made from, as in earlier versions; "
+            f"`warmlens resume {results}` makes them again, with records"
+        )
+    if state == "none":
+        if n_absent := sum(not path.exists() for path in (*expected, *derived)):
+            notes.append(f"{MANIFEST}: there is none, for the campaign is not finished ({n_absent} files to make)")
+        else:
+            of_manifest = [Finding(results / MANIFEST, "missing", "missing")]
+    known = {"table"} if unrecorded else {"table", "figure", "report", "record"}
+    unchecked = {file.path for file in files if state != "present" and file.stage not in known}
+    return CampaignAudit(
+        results, tuple(records), tuple(files), state, tuple(of_manifest), tuple(notes), frozenset(unchecked)
+    )
+
+
+def _read_state(results: Path) -> tuple[ManifestState, Manifest | None]:
     try:
         manifest = read_manifest(results)
-    except ArtifactError as error:
-        state, wrong = "damaged", [Finding(results / MANIFEST, f"damaged: {error}", "damaged")]
-    if manifest is not None:
-        state = "present"
-        listed = {results / each.path: each for each in manifest.files}
-        records = [_compare_artifact(record, listed.get(record.path), results) for record in records]
-        files = [_compare_file(path, kind, listed.get(path), results, done) for path, kind in derived.items()]
-        problem = f"in {MANIFEST}, but no part of this campaign"
-        strangers = [path for path in listed if path not in expected and path not in derived]
-        wrong = [_manifest_finding(path, problem, results) for path in strangers]
-    elif state == "none" and (n_absent := sum(not path.exists() for path in (*expected, *derived))):
-        notes.append(f"{MANIFEST}: there is none, for the campaign is not finished ({n_absent} files to make)")
-    elif state == "none":
-        remedy = f"missing; write it with: warmlens manifest {results}"
-        wrong = [Finding(results / MANIFEST, remedy, "missing")]
-    return CampaignAudit(results, tuple(records), tuple(files), state, tuple(wrong), tuple(notes))
+    except ArtifactError:
+        return "damaged", None
+    return ("none" if manifest is None else "present"), manifest
 
 
-def _manifest_finding(path: Path, problem: str, results: Path) -> Finding:
-    return Finding(path, f"{problem}; if the change was meant: warmlens manifest {results}", "manifest")
+def _unrecorded(config: Config, manifest: Manifest | None) -> bool:
+    """Return whether figures and report are of an early version, which kept no record of their inputs."""
+    kept = any(path.exists() for path in ledgers(config))
+    listed = manifest is not None and any(each.kind == "record" for each in manifest.files)
+    drawn = any(kind in ("figure", "report") and path.exists() for path, kind in derived_files(config).items())
+    return drawn and not kept and not listed
 
 
-def _compare_artifact(record: Record, listed: ManifestFile | None, results: Path) -> Record:
-    """Add to a record that the manifest has another artifact."""
-    if record.header is None or (listed is not None and listed.digest == record.header.digest):
+def _compare_artifact(record: Record, listed: ManifestFile | None) -> Record:
+    """Add to an artifact without fault that it cannot be the one that the manifest lists with these settings."""
+    header = record.header
+    if header is None or record.findings or listed is None or listed.settings_sha256 != header.settings_sha256:
         return record
-    problem = f"not in {MANIFEST}" if listed is None else f"not what {MANIFEST} lists"
-    finding = _manifest_finding(record.path, problem, results)
-    return dataclasses.replace(record, findings=(*record.findings, finding))
-
-
-def _compare_file(
-    path: Path, kind: str, listed: ManifestFile | None, results: Path, done: Callable[[Path], None]
-) -> Record:
-    if not path.is_file():
-        return Record(path, kind, findings=(Finding(path, "missing", "missing"),))
-    problem = ""
-    if listed is None:
-        problem = f"not in {MANIFEST}"
-    elif path.stat().st_size != listed.size or file_digest(path) != listed.sha256:
-        problem = f"not what {MANIFEST} lists"
-    done(path)
-    return Record(path, kind, findings=(_manifest_finding(path, problem, results),) if problem else ())
+    if header.digest != listed.digest:
+        problem = f"its content is not what {MANIFEST} lists for the same settings"
+    elif header.created_utc == listed.created_utc and file_digest(record.path) != listed.sha256:
+        problem = f"its bytes are not what {MANIFEST} lists, though its content is"
+    else:
+        return record
+    return dataclasses.replace(record, findings=(Finding(record.path, problem, "manifest"),))
 
 
 def _name_settings(record: Record, config: Config) -> Record:
     """Add to a record with other settings than the campaign which of them differ."""
     if record.header is None or not any(finding.kind == "settings" for finding in record.findings):
         return record
-    current = stage_settings(config, record.header.stage).as_dict()
-    changes = differences(record.header.settings, current)
+    changes = settings_changes(config, record.header)
     findings = tuple(
         dataclasses.replace(finding, problem=f"{finding.problem}: {changes}")
         if finding.kind == "settings"
@@ -126,4 +142,4 @@ def _strays(results: Path, expected: Mapping[Path, str]) -> list[str]:
     folders = dict.fromkeys((results / name).parent for name in SINGLE.values())
     folders |= dict.fromkeys(results / stage for stage in CHUNKED)
     strays = [path for folder in folders for path in sorted(folder.glob("*.h5")) if path not in expected]
-    return [f"{path}: no part of this campaign" for path in strays]
+    return [f"{path}: no part of this campaign, and nothing reads it" for path in strays]

@@ -17,7 +17,7 @@ from rocrate.rocrate import ROCrate
 from warmlens.artifacts.chain import input_paths
 from warmlens.artifacts.file import Header, atomic_path
 from warmlens.artifacts.names import CHUNKED, CONFIG, CRATE, MANIFEST
-from warmlens.audit.manifest import Manifest, ManifestFile
+from warmlens.products.manifest import Manifest, ManifestFile
 from warmlens.text import CITATION
 
 VERSION = "1.1"  # of RO-Crate: what archives read today
@@ -35,6 +35,7 @@ _KINDS = {
     "table": "Result",
     "figure": "Figure",
     "report": "Report of the campaign: one page with everything",
+    "record": "Record of what was made from what",
 }
 
 

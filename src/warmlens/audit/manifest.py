@@ -1,4 +1,4 @@
-"""`manifest.json`: every file of a finished campaign with its size and SHA-256, and what made it."""
+"""Writing `manifest.json`: every file of a finished campaign with its size and SHA-256, and what made it."""
 
 from __future__ import annotations
 
@@ -7,81 +7,23 @@ import platform
 from collections.abc import Callable
 from datetime import UTC, datetime
 from importlib import metadata
-from pathlib import Path, PurePosixPath
-from typing import Annotated, Any, Literal
-
-from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
+from pathlib import Path
+from typing import Any
 
 from warmlens import __version__
 from warmlens.artifacts.chain import walk
 from warmlens.artifacts.code_version import code_commit
 from warmlens.artifacts.file import ArtifactError, Header, atomic_path, file_digest
-from warmlens.artifacts.names import ANSWER_FILES, CONFIG, MANIFEST, REPORT, SINGLE
+from warmlens.artifacts.names import CONFIG, SINGLE
+from warmlens.campaign.derived import derived_files
 from warmlens.campaign.files import artifact_files
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.model import Config
-from warmlens.figures.inputs import drawn_figures
+from warmlens.products.manifest import Manifest, ManifestFile
 from warmlens.stage_table import campaign_stages, stage_digests
 
 LIBRARIES = ("astropy", "colossus", "h5py", "lenstronomy", "numba", "numpy", "pandas", "scipy", "snakemake")
-_MAX_BYTES = 2**26
 _OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc")  # of its header
-
-Kind = Literal["artifact", "configuration", "table", "figure", "report"]
-
-
-def _relative(name: str) -> str:
-    path = PurePosixPath(name)
-    if path.is_absolute() or ".." in path.parts or str(path) != name:
-        raise ValueError(f"{name!r} is no plain path below the results folder")
-    return name
-
-
-class _Plain(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="strings")
-
-
-class ManifestFile(_Plain):
-    """One file: its path under the results folder; of an artifact also what its header states."""
-
-    path: Annotated[str, AfterValidator(_relative)]
-    kind: Kind
-    size: int
-    sha256: str
-    stage: str | None = None
-    digest: str | None = None
-    settings_sha256: str | None = None
-    git_commit: str | None = None
-    created_utc: str | None = None
-
-
-class Manifest(_Plain):
-    """All files of a campaign, and the versions of the program that wrote the list."""
-
-    format: Literal["warmlens/manifest"] = "warmlens/manifest"
-    format_version: Literal[1] = 1
-    created_utc: str
-    package_version: str
-    git_commit: str
-    git_dirty: bool
-    python: str
-    libraries: dict[str, str]
-    seed: int
-    config: dict[str, Any]
-    files: list[ManifestFile]
-
-
-def derived_files(config: Config) -> dict[Path, Kind]:
-    """Return the files of a finished campaign that are no artifacts, with their kinds."""
-    root = Path(config.results)
-    answer = campaign_stages(config)[-1]
-    files: dict[Path, Kind] = {root / CONFIG: "configuration"}
-    files |= dict.fromkeys((root / name for name in ANSWER_FILES[answer]), "table")
-    for name in drawn_figures(config):
-        files |= dict.fromkeys((root / f"figures/{name}.{kind}" for kind in ("png", "csv")), "figure")
-    if answer == "abc":
-        files[root / REPORT] = "report"
-    return files
 
 
 def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None) -> tuple[Manifest, list[Header]]:
@@ -139,18 +81,3 @@ def write_manifest(manifest: Manifest, path: Path) -> None:
     """Write a manifest as JSON, without what is None."""
     with atomic_path(path) as temporary:
         temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n")
-
-
-def read_manifest(results: Path) -> Manifest | None:
-    """Read the manifest of a results folder; None if there is none, `ArtifactError` if the file is damaged."""
-    path = results / MANIFEST
-    if not path.is_file():
-        return None
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise ValueError(f"it has more than {_MAX_BYTES} bytes")
-        return Manifest.model_validate_json(path.read_bytes())
-    except (OSError, ValueError) as error:
-        where = error.errors()[0] if isinstance(error, ValidationError) else None
-        reason = f"{'.'.join(map(str, where['loc']))}: {where['msg']}" if where else str(error)
-        raise ArtifactError(f"{path}: no manifest ({reason}); write one: warmlens manifest {results}") from error

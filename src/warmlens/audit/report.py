@@ -12,6 +12,7 @@ from rich.table import Table
 
 from warmlens.artifacts.chain import Record
 from warmlens.audit.campaign import CampaignAudit
+from warmlens.audit.mending import Mending
 from warmlens.text import duration
 
 _DAY = 86400.0
@@ -23,8 +24,8 @@ _ATTRIBUTES = (
 )
 
 
-def print_audit(audit: CampaignAudit) -> None:
-    """Print one row per artifact and per file with a problem, and all problems and notes in full below."""
+def print_audit(audit: CampaignAudit, mend: Mending) -> None:
+    """Print one row per artifact and per file with a problem; below all problems, notes, and how to mend it."""
     now = datetime.now(UTC)
     table = Table(box=None)
     for title in ("artifact", "schema", "digest", "chain", "age", "made by", "verdict"):
@@ -43,17 +44,23 @@ def print_audit(audit: CampaignAudit) -> None:
     for note in audit.notes:
         console.print(f"note: {note}")
     console.print(_summary(audit))
+    for text in mend.advice:
+        console.print(text)
+    if mend.commands:
+        console.print("these commands mend it:")
+        for command in mend.commands:
+            console.print(f"  {command}")
 
 
 def _summary(audit: CampaignAudit) -> str:
     n = len(audit.artifacts)
     if not audit.sound:
-        return f"{len(audit.findings)} problems in {n} artifacts; run the campaign again to repair them"
-    files = (
-        f"{len(audit.files)} other files as in the manifest"
-        if audit.manifest == "present"
-        else "other files not checked, for there is no manifest"
+        return f"{len(audit.findings)} problems in {n} artifacts and {len(audit.files)} other files"
+    unchecked = (
+        f", {len(audit.unchecked)} of them not checked, for there is no manifest" if audit.unchecked else ""
     )
+    manifest = " and as in the manifest" if audit.manifest == "present" else ""
+    files = f"{len(audit.files)} other files as they were made{manifest}{unchecked}"
     return f"{n} artifacts: complete, unaltered, and made from one another as recorded; {files}"
 
 
@@ -99,10 +106,9 @@ def age(created_utc: str, now: datetime) -> str:
     return f"{seconds / _DAY:.0f} d" if seconds > 2.0 * _DAY else duration(seconds)
 
 
-def as_json(audit: CampaignAudit) -> str:
-    """Return the audit as JSON, with the keys of docs/audit.md."""
+def as_json(audit: CampaignAudit, mend: Mending) -> str:
+    """Return the audit and how to mend it as JSON, with the keys of docs/audit.md."""
     now = datetime.now(UTC)
-    checked = audit.manifest == "present"
     content = {
         "format": "warmlens/audit",
         "format_version": 1,
@@ -115,7 +121,7 @@ def as_json(audit: CampaignAudit) -> str:
             {
                 "path": _name(record, audit.results),
                 "kind": record.stage,
-                "verdict": record.verdict if checked else "unchecked",
+                "verdict": "unchecked" if record.path in audit.unchecked else record.verdict,
                 "problems": [finding.problem for finding in record.findings],
             }
             for record in audit.files
@@ -125,6 +131,8 @@ def as_json(audit: CampaignAudit) -> str:
             for finding in audit.findings
         ],
         "notes": list(audit.notes),
+        "advice": list(mend.advice),
+        "commands": list(mend.commands),
     }
     return json.dumps(content, indent=2)
 

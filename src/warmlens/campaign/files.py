@@ -82,12 +82,12 @@ def stage_files(config: Config, name: str) -> list[Path]:
 
 
 def note_file(config: Config, name: str, folder: str, span: Span | None = None) -> Path:
-    """Return the file in "logs" or "benchmarks" that the job of an artifact writes: logs/halos/0000000-0000250.log."""
+    """Return the file in "logs" or "benchmarks" that the job of an artifact writes."""
     return Path(config.results) / note_name(name, folder, span_name(span) if span else "")
 
 
 def note_name(name: str, folder: str, span: str) -> str:
-    """Return the path of a file in "logs" or "benchmarks" below the results folder."""
+    """Return its path below the results folder: logs/halos/0000000-0000250.log."""
     artifact = STAGES[name].output.format(span=span).removesuffix(".h5")
     return f"{folder}/{artifact.replace('/chunk-', '/').replace('/shard-', '/')}.{_NOTES[folder]}"
 

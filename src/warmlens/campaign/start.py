@@ -10,26 +10,35 @@ from __future__ import annotations
 import json
 import os
 import sys
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from warmlens.artifacts.chain import Chain, Finding, Record
 from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
-from warmlens.artifacts.names import ANSWER_FILES, STARTED
+from warmlens.artifacts.names import ANSWER_FILES, CONFIG, CRATE, LEDGER, MANIFEST, REPORT, STARTED
+from warmlens.campaign.answer import settings_changes
+from warmlens.campaign.derived import (
+    REPORT_LEDGER,
+    derived_files,
+    derived_findings,
+    drawn_groups,
+    figure_files,
+    figure_inputs,
+    report_inputs,
+)
 from warmlens.campaign.files import note_file, stage_file, stage_spans
 from warmlens.config.model import Config
 from warmlens.sampling import Span
-from warmlens.stage_table import STAGES, campaign_stages, stage_digests, stage_settings
+from warmlens.stage_table import STAGES, campaign_stages, stage_digests
 from warmlens.text import duration
 
 YES = "WARMLENS_YES"  # environment: "1" discards what does not fit, ASK asks first where there is a terminal
 ASK = "ask"
-_NONE = "none"
-_SHOWN = 3  # settings that differ, and reasons, by name; the others are counted
+_SHOWN = 3  # reasons and files by name; the others are counted
 _SHOWN_STAGES = 6
-_WIDEST = 80  # of a value in a message
+_WIDEST = 240  # of a reason
 
 
 @dataclass(frozen=True)
@@ -44,6 +53,8 @@ class Present:
         Computing time [s] of each of these and of everything that was made from them; 0 if it cannot be read.
     reasons
         What is wrong, one text for all artifacts with the same problem.
+    derived
+        What is wrong with other files, such as `abc.json` and figures: they take seconds.
     state
         Digests of all settings and of the files of the observation.
     agreed
@@ -54,8 +65,21 @@ class Present:
     broken: Mapping[Path, Finding] = field(default_factory=dict)
     stale: Mapping[str, Mapping[Path, float]] = field(default_factory=dict)
     reasons: Sequence[str] = ()
+    derived: Sequence[Finding] = ()
     state: Mapping[str, Any] = field(default_factory=dict)
     agreed: bool = False
+
+    @property
+    def to_make(self) -> set[Path]:
+        """Files that are to be made again even if Snakemake takes them for up to date."""
+        return {*self.broken, *(finding.path for finding in self.derived)}
+
+    def describe_derived(self) -> str:
+        """Return in one line which files are not what their artifacts give, but for those that are only older."""
+        altered = [str(finding.path) for finding in self.derived if finding.kind in ("altered", "damaged")]
+        if not altered:
+            return ""
+        return f"not what the artifacts give, and made from them again: {_listed(altered, _SHOWN, ', ')}"
 
     def describe(self, planned: Collection[str] | None = None) -> str:
         """Return in one line what does not fit, of `planned` or of all: numbers, time, reasons; "" if nothing.
@@ -87,12 +111,15 @@ def compare_present(config: Config) -> Present:
     broken: dict[Path, Finding] = {}
     stale: dict[str, dict[Path, float]] = {stage: {} for stage in campaign_stages(config)}
     reasons: dict[str, list[str]] = {}
+    known: dict[Path, str] = {}
     for stage in stale:
         for span in stage_spans(config, stage):
             path = stage_file(config, stage, span)
             if not path.exists():
                 continue
             record = chain.compare(path, stage)
+            if record.header is not None:
+                known[path] = record.header.digest
             finding = _first_finding(record, outside)
             follows = _follows(config, stage, span, stale)
             if finding is not None:
@@ -104,7 +131,8 @@ def compare_present(config: Config) -> Present:
                 stale[stage][path] = record.header.wall_seconds if record.header else 0.0
     texts = [texts[0] + (f" and {len(texts) - 1} more" if len({*texts}) > 1 else "") for texts in reasons.values()]
     state = {"settings": digests, "files": outside}
-    return Present(config, broken, stale, texts, state, _read_started(config) == state)
+    derived = derived_findings(config, known, broken)
+    return Present(config, broken, stale, texts, derived, state, _read_started(config) == state)
 
 
 def _outside_digests(config: Config) -> dict[str, str]:
@@ -146,39 +174,11 @@ def _follows(config: Config, stage: str, span: Span | None, stale: Mapping[str, 
 def _reason(record: Record, finding: Finding, config: Config) -> tuple[str, str]:
     """Return what is wrong with an artifact: a key that those with the same problem share, and a text."""
     if finding.kind == "settings" and record.header is not None:
-        text = differences(record.header.settings, stage_settings(config, record.stage).as_dict())
-        return text, text
+        text = settings_changes(config, record.header)
+        return text, text if len(text) <= _WIDEST else f"{text[:_WIDEST]}..."
     name = record.path.relative_to(config.results)
     problem = "damaged" if finding.kind == "damaged" else finding.problem
     return f"{record.stage} {finding.kind}", f"{name}: {problem}"
-
-
-def differences(recorded: Mapping[str, Any], current: Mapping[str, Any]) -> str:
-    """Return in words which settings differ: the version of the stage's code first, then keys with both values."""
-    before, now = dict(_leaves(recorded)), dict(_leaves(current))
-    keys = [key for key in {**before, **now} if before.get(key, _NONE) != now.get(key, _NONE)]
-    keys.sort(key=lambda key: key != "stage_version")
-    return _listed([_difference(key, before.get(key, _NONE), now.get(key, _NONE)) for key in keys], _SHOWN, ", ")
-
-
-def _difference(key: str, before: Any, now: Any) -> str:
-    if key.startswith("upstream."):
-        return f"the settings of {key.removeprefix('upstream.')} have changed"
-    name = "version of the stage's code" if key == "stage_version" else key
-    return f"{name} was {_shortened(before)}, is now {_shortened(now)}"
-
-
-def _shortened(value: Any) -> str:
-    text = str(value)
-    return text if len(text) <= _WIDEST else f"{text[: _WIDEST - 3]}..."
-
-
-def _leaves(settings: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in settings.items():
-        if isinstance(value, Mapping):
-            yield from _leaves(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
 
 
 def _listed(texts: Sequence[str], shown: int, separator: str) -> str:
@@ -202,6 +202,28 @@ def order_times(present: Present) -> int:
                 beside = [path.with_name(name) for name in ANSWER_FILES.get(stage, ())]
                 n_changed += sum(_not_before(each, earliest) for each in (path, *beside))
             newest[stage] = max(newest.get(stage, 0), _time_ns(path))
+    return n_changed + _order_derived(present)
+
+
+def _order_derived(present: Present) -> int:
+    """Do the same for figures, the report and the manifest that are what their artifacts give."""
+    config, root = present.config, Path(present.config.results)
+    wrong, notes, n_changed = present.to_make, root / "benchmarks", 0
+    steps: list[tuple[list[Path], list[Path]]] = []
+    for group, names in drawn_groups(config).items():
+        inputs = [path for name in names for path in figure_inputs(config, name).values()]
+        outputs = [path for name in names for path in figure_files(config, name)]
+        outputs += [root / LEDGER.format(name=name) for name in names]
+        steps.append(([*outputs, notes / f"figures/{group}.tsv"], inputs))
+    answer = [root / name for name in ANSWER_FILES[campaign_stages(config)[-1]]]
+    steps.append(([root / REPORT, root / REPORT_LEDGER, notes / "report.tsv"], [*report_inputs(config), *answer]))
+    steps.append(
+        ([root / MANIFEST, root / CRATE, notes / "manifest.tsv"], [*report_inputs(config), *derived_files(config)])
+    )
+    for outputs, inputs in steps:
+        if wrong.isdisjoint(outputs):
+            earliest = max(_time_ns(path) for path in inputs if path.name != CONFIG)  # written at every start
+            n_changed += sum(_not_before(path, earliest) for path in outputs)
     return n_changed
 
 
@@ -248,8 +270,8 @@ def check_consent(present: Present, planned: Collection[str]) -> None:
             return
         raise ArtifactError("nothing was changed; other `results`, or `warmlens branch`, keep what is finished")
     raise ArtifactError(
-        f"{lost}; nothing was changed: give --yes to discard and recompute them (or {YES}=1 where snakemake itself "
-        "is called); other `results`, or `warmlens branch`, keep them"
+        f"{lost}; nothing was changed: --yes discards and recomputes them (snakemake itself: {YES}=1); other "
+        "`results`, or `warmlens branch`, keep them"
     )
 
 

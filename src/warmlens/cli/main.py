@@ -75,10 +75,13 @@ def status(
     cores: Annotated[int, typer.Option(help="Cores that the campaign runs on, for the time left.")] = 0,
 ) -> None:
     """Show what is done, what failed and how long the rest will take."""
+    from warmlens.campaign.answer import answer_problems
     from warmlens.campaign.status import campaign_status, failures, print_status, read_campaign
 
     config = read_campaign(results)
     print_status(campaign_status(config), failures(config), cores or os.cpu_count() or 1)
+    for problem in answer_problems(config):
+        typer.echo(problem)
 
 
 @app.command()
@@ -157,11 +160,18 @@ def audit(
     json_: Annotated[
         bool, typer.Option("--json", help="Print JSON for scripts (docs/audit.md has the keys).")
     ] = False,
+    remove: Annotated[
+        bool, typer.Option("--remove", help="Delete the files that are wrong; the next start makes them again.")
+    ] = False,
 ) -> None:
-    """Hash every file and follow the chain from the posterior to the observation; exit code 1 if any is wrong."""
+    """Hash every file and follow the chain from the posterior to the observation; exit code 1 if any is wrong.
+
+    It ends with the commands that mend what is wrong.
+    """
     from warmlens.audit.campaign import audit_campaign
-    from warmlens.audit.manifest import derived_files
+    from warmlens.audit.mending import mending
     from warmlens.audit.report import as_json, print_audit
+    from warmlens.campaign.derived import derived_files
     from warmlens.campaign.files import artifact_files
     from warmlens.campaign.status import read_campaign
     from warmlens.cli.progress import progress
@@ -170,11 +180,16 @@ def audit(
     config = config.model_copy(update={"results": str(results)})
     with progress("audit", [*artifact_files(config), *derived_files(config)]) as done:
         checked = audit_campaign(config, done)
+    mend = mending(checked, configfile or ())
     if json_:
-        typer.echo(as_json(checked))
-    else:
-        print_audit(checked)
-    raise typer.Exit(0 if checked.sound else 1)
+        typer.echo(as_json(checked, mend))
+    elif not remove:
+        print_audit(checked, mend)
+    if not remove:
+        raise typer.Exit(0 if checked.sound else 1)
+    for path in mend.remove:
+        path.unlink(missing_ok=True)
+        typer.echo(f"removed {path}", err=json_)
 
 
 @app.command()
@@ -188,7 +203,8 @@ def manifest(
     """Write manifest.json and ro-crate-metadata.json of a finished campaign, for publication."""
     from warmlens.artifacts.names import CRATE, MANIFEST
     from warmlens.audit.crate import write_crate
-    from warmlens.audit.manifest import derived_files, make_manifest, write_manifest
+    from warmlens.audit.manifest import make_manifest, write_manifest
+    from warmlens.campaign.derived import derived_files
     from warmlens.campaign.files import artifact_files
     from warmlens.campaign.status import read_campaign
     from warmlens.cli.progress import progress

@@ -7,59 +7,17 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from warmlens.artifacts.chain import check_chains
 from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
-from warmlens.artifacts.names import FIGURE_GROUPS, SINGLE
-from warmlens.campaign.files import stage_files
+from warmlens.campaign.answer import check_chain
+from warmlens.campaign.derived import figure_inputs, needed_paths
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.model import Config
-from warmlens.stage_table import campaign_stages, stage_digests
 
 log = logging.getLogger(__name__)
 
 Inputs = Mapping[str, Path]
 
-# Stages by name; of a chunked stage its first chunk, or all of them with "/*".
-NEEDED: dict[str, tuple[str, ...]] = {
-    "smooth_model": ("observation", "smooth_model"),
-    "psf": ("observation", "smooth_model"),
-    "halo_maps": ("halos",),
-    "deflection_maps": ("observation", "deflections"),
-    "mocks": ("observation", "smooth_model", "mocks"),
-    "delta_r": ("observed_scan", "scans"),
-    "scan_plane": ("observed_scan",),
-    "correlation": ("observed_summary", "summaries/*"),
-    "posterior": ("abc",),
-    "likelihood": ("abc",),
-    "calibration": ("abc",),
-    "convergence": ("abc",),
-    "predictive": ("observed_summary", "abc"),
-    "information": ("abc",),
-    "3": ("observed_scan", "scans/*"),
-    "4": ("observed_summary", "summaries/*"),
-    "5": ("abc",),
-}
 _PLANE = ("observed_scan", "smooth_model")  # of every campaign that Figs. 6 and 7 compare
-
-
-def drawn_groups(config: Config) -> dict[str, list[str]]:
-    """Return the figures for which a campaign has the stages, by the job that draws them."""
-    stages = campaign_stages(config)
-    groups = {
-        group: [name for name in names if all(need.removesuffix("/*") in stages for need in NEEDED[name])]
-        for group, names in FIGURE_GROUPS.items()
-    }
-    return {group: names for group, names in groups.items() if names}
-
-
-def drawn_figures(config: Config) -> list[str]:
-    """Return the names of all figures that a campaign draws."""
-    return [name for names in drawn_groups(config).values() for name in names]
-
-
-def figure_inputs(config: Config, name: str) -> dict[str, Path]:
-    """Return the artifacts of a figure of a campaign by stage; by "STAGE/i" if it needs all chunks of it."""
-    return _paths(config, NEEDED[name])
 
 
 def find_inputs(name: str, results: Sequence[Path]) -> dict[str, Path]:
@@ -76,7 +34,7 @@ def find_inputs(name: str, results: Sequence[Path]) -> dict[str, Path]:
         compared: dict[str, Path] = {}
         for number, folder in enumerate(results):
             config = read_campaign(folder)
-            inputs = _paths(config, (*_PLANE, "scans/*") if _shows_mocks(config, len(results)) else _PLANE)
+            inputs = needed_paths(config, (*_PLANE, "scans/*") if _shows_mocks(config, len(results)) else _PLANE)
             _check(inputs, folder, config)
             compared |= {f"{number}/{key}": path for key, path in inputs.items()}
         return compared
@@ -111,18 +69,6 @@ def chunk_paths(inputs: Inputs, stage: str) -> list[Path]:
     return [inputs[key] for key in sorted(keys, key=lambda key: int(key.removeprefix(f"{stage}/")))]
 
 
-def _paths(config: Config, needed: Sequence[str]) -> dict[str, Path]:
-    paths: dict[str, Path] = {}
-    for need in needed:
-        stage = need.removesuffix("/*")
-        files = stage_files(config, stage)
-        if stage in SINGLE or stage == need:
-            paths[stage] = files[0]
-        else:
-            paths |= {f"{stage}/{number}": path for number, path in enumerate(files)}
-    return paths
-
-
 def _shows_mocks(config: Config, n_campaigns: int) -> bool:
     """Return whether a plane shows mocks with the observation: of a single campaign with R_sens of mocks."""
     if n_campaigns > 1:
@@ -140,4 +86,4 @@ def _check(inputs: Inputs, folder: Path, config: Config) -> None:
             f"{missing[0]}: no such artifact ({len(missing)} of {len(inputs)} are missing for this figure); make "
             f"it with: {remaking_command(folder, name)}"
         )
-    check_chains(inputs.values(), stage_digests(config))
+    check_chain(config, inputs.values())

@@ -14,6 +14,8 @@ mpl.use("agg")
 import pandas as pd
 
 from warmlens.artifacts.file import ArtifactError
+from warmlens.campaign.derived import drawn_figures, figure_files, record_made
+from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config
 from warmlens.figures import (
     calibration,
@@ -73,9 +75,15 @@ def write_from_artifacts(name: str, inputs: Inputs, output: Path) -> None:
 
 
 def write_from_results(name: str, results: Sequence[Path], output: Path) -> None:
-    """Write a figure of one campaign (Figs. 6 and 7: of several) and its data."""
+    """Write a figure of one campaign (Figs. 6 and 7: of several) and its data.
+
+    One of the campaign's own figures gets a ledger.
+    """
     recipe = _recipe(name)
     recipe.write(find_inputs(name, results), output)
+    config = read_campaign(results[0])
+    if name in drawn_figures(config) and output.resolve() == figure_files(config, name)[0].resolve():
+        record_made(config, name)
 
 
 def write_from_config(name: str, config: Config, output: Path) -> None:

@@ -11,6 +11,7 @@ from jinja2 import UndefinedError
 
 from warmlens.artifacts.file import ArtifactError
 from warmlens.artifacts.names import FIGURES, REPORT, SINGLE
+from warmlens.campaign.derived import record_made
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.figures import CAPTIONS
 from warmlens.inference.calibration import MIN_ROWS
@@ -24,7 +25,7 @@ PLACED = ("posterior", "likelihood", "information", "calibration", "convergence"
 
 
 def write_report(results: Path, output: Path | None = None) -> Path:
-    """Write the report of a finished campaign to `output`, or report.html in its folder; return where it is.
+    """Write the report of a finished campaign to `output`, or with its ledger into its folder; return its path.
 
     Raises
     ------
@@ -41,6 +42,9 @@ def write_report(results: Path, output: Path | None = None) -> Path:
             f"{results / SINGLE['abc']}: {error}; it was written by other code: run the campaign again"
         ) from error
     write_page(target, html)
+    if target.resolve() == (results / REPORT).resolve():
+        headers = provenance.artifacts.values()
+        record_made(campaign["config"], "report", {header.path: header.digest for header in headers})
     return target
 
 

@@ -13,6 +13,7 @@ import yaml
 
 from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
 from warmlens.artifacts.names import CHUNKED, CONFIG, EXCLUSION_NUMBERS, SINGLE
+from warmlens.campaign.answer import other_settings
 from warmlens.campaign.files import chunks, stage_files
 from warmlens.campaign.snakemake import recorded_results, remaking_command
 from warmlens.campaign.status import read_campaign
@@ -55,11 +56,9 @@ def open_of_campaign(results: Path, name: str, stage: str) -> Iterator[Artifact]
     if not path.exists():
         raise ArtifactError(f"{path}: no such artifact; make it with: {remaking_command(results, name)}")
     with open_artifact(path, stage) as artifact:
-        if settings_digest(artifact.settings) != stage_digests(read_campaign(results))[stage]:
-            raise ArtifactError(
-                f"{path}: made with other settings than those of {CONFIG}, or an older version of its stage; "
-                f"recompute it with: {remaking_command(results, name)}"
-            )
+        config = read_campaign(results)
+        if settings_digest(artifact.settings) != stage_digests(config)[stage]:
+            raise other_settings(config, artifact)
         yield artifact
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from rich.console import Console
 
-from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
-from warmlens.artifacts.names import SINGLE
+from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path
+from warmlens.campaign.answer import open_answer
 from warmlens.inference.bound import HEADLINE, LEVELS
 from warmlens.inference.combine import combine
 from warmlens.inference.likelihood import RATIOS, LikelihoodRatio
@@ -32,7 +32,7 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     warnings: list[str] = []
     seen: dict[str, Path] = {}
     for folder in results:
-        with open_artifact(folder / SINGLE["abc"], "abc") as artifact:
+        with open_answer(folder) as artifact:
             observed = artifact.inputs["observed_summary"]["digest"]
             if observed in seen:
                 raise ArtifactError(

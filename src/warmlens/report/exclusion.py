@@ -8,8 +8,8 @@ from typing import Any
 
 from rich.console import Console
 
-from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import CONFIG, EXCLUSION_NUMBERS, EXCLUSION_TABLE, SINGLE
+from warmlens.campaign.answer import open_answer
 from warmlens.config.file import read_stored
 from warmlens.report.result import nearest_line, print_warnings
 
@@ -23,7 +23,7 @@ def is_grid(results: Path) -> bool:
 def print_exclusion(results: Path) -> None:
     """Print warnings, which halo masses are excluded, the evidence for it, and where to look."""
     path = results / SINGLE["exclusion"]
-    with open_artifact(path, "exclusion") as artifact:
+    with open_answer(results, "exclusion") as artifact:
         meta = artifact.metadata
     console = Console(highlight=False, soft_wrap=True)
     print_warnings(console, meta["warnings"])

@@ -11,13 +11,14 @@ from rich.markup import escape
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import FIGURES, NUMBERS, REPORT, SINGLE, TABLE
+from warmlens.campaign.answer import open_answer
 from warmlens.text import bound_cells, confidence, crossing, pair
 
 
 def print_result(results: Path) -> None:
     """Print warnings, bound, its companions, calibration, and where posterior and figures are."""
     path = results / SINGLE["abc"]
-    with open_artifact(path, "abc") as artifact:
+    with open_answer(results) as artifact:
         meta = artifact.metadata
     with open_artifact(results / SINGLE["smooth_model"], "smooth_model") as artifact:
         fits, bands = artifact.metadata["fits"], artifact.metadata["bands"]

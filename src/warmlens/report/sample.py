@@ -12,6 +12,7 @@ import numpy as np
 
 from warmlens.artifacts.file import Artifact, ArtifactError
 from warmlens.artifacts.names import CHUNKED, SINGLE
+from warmlens.campaign.answer import check_chain
 from warmlens.campaign.files import chunks, stage_files
 from warmlens.config.model import CampaignBlock
 from warmlens.cosmology import LensGeometry
@@ -66,12 +67,13 @@ def read_sample(results: Path, sample: int) -> SampleRecord:
     Raises
     ------
     ArtifactError
-        If there is no such sample, or for a missing artifact, with the command that makes it.
+        If there is no such sample, for a missing artifact, with the command that makes it, or a broken chain.
     """
     config = read_inferred(results)
     n = config.campaign.n_samples
     if not 0 <= sample < n:
         raise ArtifactError(f"{results}: has no sample {sample}; its samples are 0 to {n - 1}")
+    check_chain(config, [results / SINGLE["abc"]])
     chunk, first = next((i, start) for i, (start, stop) in enumerate(chunks(config)) if start <= sample < stop)
     row = sample - first
     with open_of_campaign(results, SINGLE["observation"], "observation") as artifact:

@@ -7,7 +7,6 @@ import logging
 from collections.abc import Sequence
 
 import numpy as np
-import pandas as pd
 
 from warmlens.artifacts.file import ArtifactError, Dataset
 from warmlens.inference.acceptance import Acceptance, accept
@@ -16,6 +15,7 @@ from warmlens.inference.checks import cloud_check
 from warmlens.inference.exclusion import LEVEL, MAX_RATIO, Exclusion, exclusion
 from warmlens.inference.summary_sets import kinds_of, learned_points, points
 from warmlens.inference.table import Table
+from warmlens.products.answer import NODE_COLUMNS
 from warmlens.sampling import stream
 from warmlens.stage_table import ExclusionSettings
 from warmlens.stages.abc.numbers import to_json_types
@@ -75,9 +75,8 @@ def run(job: Job[ExclusionSettings]) -> None:
             "warnings": warnings,
         }
     )
-    nodes = _nodes(counts, settings)
     datasets = _node_datasets(counts, settings) | _table_datasets(samples, distances, acceptance, table.kinds)
-    write_answer(job, datasets, metadata, nodes, nodes=nodes.to_dict(orient="records"))
+    write_answer(job, datasets, metadata, NODE_COLUMNS)
 
 
 def statement(counts: Exclusion) -> str:
@@ -106,23 +105,6 @@ def _headline_table(settings: ExclusionSettings, samples: Samples) -> Table:
     except ValueError as error:
         raise ArtifactError(f"the table of samples cannot be used: {error}") from error
     return samples.points(settings, {kind: kinds[kind] for kind in kinds_of(block.summaries, kinds)})
-
-
-def _nodes(counts: Exclusion, settings: ExclusionSettings) -> pd.DataFrame:
-    """Return one row per node, halo mass by halo mass."""
-    relic, halo = np.meshgrid(settings.nodes.m_th_kev, settings.nodes.log10_m_halo_msun)
-    intervals = _rate_intervals(counts)
-    return pd.DataFrame(
-        {
-            "m_th_kev": relic.ravel(),
-            "log10_m_halo_msun": halo.ravel(),
-            "n_samples": counts.n_samples.ravel(),
-            "n_accepted": counts.n_accepted.ravel(),
-            "rate_low": intervals[..., 0].ravel(),
-            "rate_high": intervals[..., 1].ravel(),
-            "probability": _probability(counts).ravel(),
-        }
-    )
 
 
 def _probability(counts: Exclusion) -> FloatArray:

@@ -17,8 +17,9 @@ from rich.markup import escape
 from warmlens.artifacts.chain import audit
 from warmlens.artifacts.file import ArtifactError, atomic_path
 from warmlens.artifacts.names import SINGLE
+from warmlens.campaign.answer import check_chain
 from warmlens.campaign.branch import StageBranch, branch
-from warmlens.campaign.files import stage_files
+from warmlens.campaign.files import resolve_window, stage_files
 from warmlens.campaign.run import lift_abandoned_lock
 from warmlens.campaign.snakemake import SNAKEMAKE, arguments
 from warmlens.config.file import ConfigError, load_config, merge
@@ -76,6 +77,7 @@ def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> None:
     console.print(f"base campaign: {base.results}")
     if reason := _snakemake(base, layers[1:], "abc", cores, folder / f"{BASE}.log"):
         raise ArtifactError(f"the base campaign {base.results} failed: {reason}")
+    check_chain(resolve_window(base), stage_files(base, "abc"))
     numbers = table.read_numbers(base, None, bound=True)
     rows = [table.Row(BASE, BASE, "the campaign that the others differ from", **numbers)]
     for number, (name, variant) in enumerate(block.variants.items(), start=1):

@@ -61,9 +61,8 @@ def run(job: Job[AbcSettings]) -> None:
         "summary_sets": _summary_sets(settings, samples, kinds, missing),
         "learned": learned,
     }
-    write_answer(
-        job, answer_datasets(rows, list(single), table, analysis, predictive) | null_arrays, metadata, rows
-    )
+    datasets = answer_datasets(rows, list(single), table, analysis, predictive) | null_arrays
+    write_answer(job, datasets, metadata, list(map(str, rows)))
 
 
 def _points(settings: AbcSettings, samples: Samples) -> tuple[dict[str, Summary], dict[str, Any], dict[str, str]]:

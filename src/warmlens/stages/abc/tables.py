@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from warmlens import __version__
 from warmlens.artifacts.chain import check_chains
 from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, atomic_path, open_artifact
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE, Summary
 from warmlens.inference.table import Table
+from warmlens.products.answer import answer_numbers, table_text
 from warmlens.products.samples import OK
 from warmlens.stage_table import AbcSettings
 from warmlens.stages.job import Job
@@ -157,12 +157,16 @@ def scalars(summaries: Mapping[str, Summary], grids: Mapping[str, FloatArray]) -
 
 
 def write_answer(
-    job: Job[Any], datasets: Mapping[str, Dataset], metadata: Mapping[str, Any], table: pd.DataFrame, **extra: Any
+    job: Job[Any], datasets: Mapping[str, Dataset], metadata: Mapping[str, Any], columns: Sequence[str]
 ) -> None:
-    """Write the artifact of an answer, and beside it its table as CSV and its numbers as JSON with `extra`."""
-    digest = job.write(datasets, metadata, seed_key=f"{job.settings.seed}/{job.stage.name}")
+    """Write the artifact of an answer, and beside it what is made from it: its table as CSV, its numbers as JSON.
+
+    `columns` is the order of the columns of the CSV; that of the keys of the JSON is that of `metadata`.
+    """
+    job.write(datasets, metadata, seed_key=f"{job.settings.seed}/{job.stage.name}")
+    with open_artifact(job.output) as artifact:
+        table, numbers = table_text(artifact, columns), answer_numbers(artifact, metadata)
     with atomic_path(job.output.with_suffix(".csv")) as temporary:
-        table.to_csv(temporary, index=False)
-    head = {"package_version": __version__, "artifact": job.output.name, "artifact_digest": digest}
+        temporary.write_bytes(table)
     with atomic_path(job.output.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps({**head, **metadata, **extra}, indent=2, allow_nan=False) + "\n")
+        temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n")
