@@ -23,7 +23,7 @@ from warmlens.artifacts.names import (
     SETTINGS,
 )
 from warmlens.campaign import locks
-from warmlens.campaign.derived import REPORT_LEDGER, derived_files, drawn_groups, figure_inputs
+from warmlens.campaign.derived import REPORT_LEDGER, derived_files, drawn_groups, figure_inputs, ledgers
 from warmlens.campaign.files import artifact_files, note_name, resolve_window, stage_inputs
 from warmlens.campaign.settings import LISTED, write_settings
 from warmlens.campaign.start import check_consent, compare_present, order_times, write_started

@@ -60,7 +60,9 @@ def run(config: Config, overlays: Sequence[Path], cores: int, extra: Sequence[st
     bring_back_from_the_future(results)
     own_profile = any(word.startswith("--workflow-profile") for word in extra)
     size = None if own_profile and not cores else cores or default_cores()
-    os.environ[YES] = "1" if yes else os.environ.get(YES, ASK)
+    os.environ[YES] = (
+        "1" if yes else os.environ.get(YES) or ASK
+    )  # Snakemake asks, once it knows what it would make
     return _watch([SNAKEMAKE, *arguments(size, overlays, extra)], results, cores or default_cores())
 
 

@@ -26,6 +26,7 @@ from warmlens.campaign.derived import (
     drawn_groups,
     figure_files,
     figure_inputs,
+    ledgers,
     report_inputs,
 )
 from warmlens.campaign.files import note_file, stage_file, stage_spans
@@ -208,7 +209,7 @@ def order_times(present: Present) -> int:
 def _order_derived(present: Present) -> int:
     """Do the same for figures, the report and the manifest that are what their artifacts give."""
     config, root = present.config, Path(present.config.results)
-    wrong, notes, n_changed = present.to_make, root / "benchmarks", 0
+    wrong, records, notes, n_changed = present.to_make, {*ledgers(config)}, root / "benchmarks", 0
     steps: list[tuple[list[Path], list[Path]]] = []
     for group, names in drawn_groups(config).items():
         inputs = [path for name in names for path in figure_inputs(config, name).values()]
@@ -221,7 +222,7 @@ def _order_derived(present: Present) -> int:
         ([root / MANIFEST, root / CRATE, notes / "manifest.tsv"], [*report_inputs(config), *derived_files(config)])
     )
     for outputs, inputs in steps:
-        if wrong.isdisjoint(outputs):
+        if wrong.isdisjoint(outputs) and all(path.exists() for path in {*outputs} & records):
             earliest = max(_time_ns(path) for path in inputs if path.name != CONFIG)  # written at every start
             n_changed += sum(_not_before(path, earliest) for path in outputs)
     return n_changed
