@@ -41,9 +41,8 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
     def watch(command: list[str], results: Path, cores: int) -> int:
         calls.append(command[1:])
-        for path in command[command.index("--configfile") + 1 :]:
-            if Path(path).exists():
-                calls.append([Path(path).read_text()])
+        overlays = map(Path, command[command.index("--configfile") + 1 :])
+        calls.extend([path.read_text()] for path in overlays if path.exists())
         return 7
 
     monkeypatch.setattr(front_end, "_watch", watch)

@@ -24,7 +24,7 @@ _MAX_NAMED = 3  # stages in a line of progress; the others are counted
 _MAX_FAILURES = 5  # in the last lines of a run
 _ERROR = "warmlens: "  # how a command ends that failed
 _TAIL = 2**16  # bytes of a log that are searched for it
-_WIDEST = 240  # of a reason
+_WIDEST = 400  # of a reason
 
 
 @dataclass(frozen=True)
