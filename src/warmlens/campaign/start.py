@@ -59,7 +59,7 @@ class Present:
     state
         Digests of all settings and of the files of the observation.
     agreed
-        Whether the last start of the campaign had the same state.
+        Whether the last start had the same state, or files are damaged or gone but none has changed.
     """
 
     config: Config
@@ -113,6 +113,7 @@ def compare_present(config: Config) -> Present:
     stale: dict[str, dict[Path, float]] = {stage: {} for stage in campaign_stages(config)}
     reasons: dict[str, list[str]] = {}
     known: dict[Path, str] = {}
+    changed = False
     for stage in stale:
         for span in stage_spans(config, stage):
             path = stage_file(config, stage, span)
@@ -128,12 +129,14 @@ def compare_present(config: Config) -> Present:
                 if stage != answer and (not follows or finding.kind == "settings"):
                     kind, reason = _reason(record, finding, config)
                     reasons.setdefault(kind, []).append(reason)
+                    changed |= finding.kind != "damaged" and finding.absent is None and finding.cause is None
             if finding is not None or follows:
                 stale[stage][path] = record.header.wall_seconds if record.header else 0.0
     texts = [texts[0] + (f" and {len(texts) - 1} more" if len({*texts}) > 1 else "") for texts in reasons.values()]
     state = {"settings": digests, "files": outside}
     derived = derived_findings(config, known, broken)
-    return Present(config, broken, stale, texts, derived, state, _read_started(config) == state)
+    agreed = not changed or _read_started(config) == state
+    return Present(config, broken, stale, texts, derived, state, agreed)
 
 
 def _outside_digests(config: Config) -> dict[str, str]:

@@ -222,13 +222,14 @@ def manifest(
 def branch(
     base: Annotated[Path, typer.Argument(help="Results folder of the campaign to start from.")],
     configfile: ConfigFiles = None,
+    yes: Yes = False,
 ) -> None:
     """Start a campaign from another one: artifacts that the change does not affect are hard-linked."""
     from warmlens.campaign.branch import branch as take_over
     from warmlens.campaign.snakemake import snakemake_command
 
     config = _load_campaign(configfile)
-    stages = take_over(base, config)
+    stages = take_over(base, config, yes)
     for stage in stages:
         left = stage.n_files - stage.n_linked - stage.n_there
         gone = f", {stage.n_removed} of other settings removed" if stage.n_removed else ""
