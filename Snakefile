@@ -33,6 +33,7 @@ rule all:
         [results(name) for name in ANSWER_FILES[ANSWER]],
         [pictures(names) for names in DRAWN.values()],
         [results(REPORT)] if ANSWER == "abc" else [],
+        [str(path) for path in ledgers(CAMPAIGN)],
         results(MANIFEST),
         results(CRATE),
     message:

@@ -27,6 +27,7 @@ from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign import run as front_end
 from warmlens.campaign.files import chunks
 from warmlens.campaign.status import read_campaign
+from warmlens.config.file import load_config
 from warmlens.config.model import Config
 from warmlens.imaging.observation import Observation
 from warmlens.products.observation import observation_datasets, read_observation
@@ -128,7 +129,8 @@ def play(config: Config, sample: int, *, null: bool, output: Path, cores: int, s
     overlay = output / f"{name}.yaml"
     overlay.write_text(yaml.safe_dump(change))
     target = str(results / SINGLE["observed_scan"])
-    if front_end.run([Path(config.results) / CONFIG, overlay], results, cores, [target, "--quiet"]):
+    layers = [Path(config.results) / CONFIG, overlay]
+    if front_end.run(load_config(layers), layers, cores, [target, "--quiet"]):
         raise ArtifactError(f"{results}: the scan of {name} failed; see {results}/logs")
     with open_artifact(mocks) as artifact:
         kev, mass = (float(artifact[f"samples/{key}"][row]) for key in ("m_th_kev", "log10_m_halo_msun"))

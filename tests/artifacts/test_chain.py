@@ -17,7 +17,6 @@ from warmlens.artifacts.file import (
 )
 from warmlens.audit.report import age
 from warmlens.campaign.answer import differences
-from warmlens.campaign.records import check_unrecorded
 from warmlens.config.digest import settings_digest
 
 SETTINGS = {"halos": {"a": 1}, "deflections": {"b": 2}, "mocks": {"c": 3}}
@@ -132,17 +131,6 @@ def test_age() -> None:
     assert age("2026-02-28T12:00:00+00:00", now) == "10 d"
     assert age("2026-03-11T12:00:00+00:00", now) == "in the future"
     assert age("yesterday", now) == "unknown"
-
-
-def test_artifacts_that_snakemake_has_no_record_of(chain: dict[Path, str], tmp_path: Path) -> None:
-    check_unrecorded(chain, EXPECTED, tmp_path)
-    changed = {**EXPECTED, "deflections": settings_digest({"b": 3})}
-    with pytest.raises(ArtifactError, match="1 artifacts were made with other settings") as error:
-        check_unrecorded(chain, changed, tmp_path)
-    assert str(error.value).endswith(f"again: {tmp_path / 'deflections.h5'}")
-    (tmp_path / "mocks.h5").write_bytes(b"")
-    with pytest.raises(ArtifactError, match=r"mocks\.h5: not a readable HDF5 file"):
-        check_unrecorded(chain, EXPECTED, tmp_path)
 
 
 def test_content_of_the_last_artifact_of_a_chain(chain: dict[Path, str], tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_art
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.branch import StageBranch, branch
 from warmlens.campaign.files import stage_files
+from warmlens.campaign.start import YES
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
 from warmlens.imaging.grid import PixelGrid
@@ -250,3 +251,20 @@ def test_refusals(base: Config, tmp_path: Path) -> None:
         branch(Path(base.results), other.model_copy(update={"halos": base.halos}))
     with open_artifact(stage_files(other, "halos")[0]) as artifact:
         assert json.loads(json.dumps(artifact.settings))["halos"]["preset"] == "calibrated"
+
+
+def test_what_a_branch_has_computed_itself_is_not_removed_unasked(
+    base: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv(YES, raising=False)
+    variant = _taken(base, "results/variant", halos={"preset": "calibrated"})
+    branch(Path(base.results), variant)
+    _run(variant)
+    other = _taken(base, "results/variant", halos={"preset": "calibrated"}, summaries={"threshold": -5.0})
+    before = {path: path.stat().st_ino for path in Path("results/variant").rglob("*.h5")}
+    with pytest.raises(ArtifactError, match=r"2 summaries.*summaries\.threshold was -4\.0, is now -5\.0.*--yes"):
+        branch(Path(base.results), other)
+    assert {path: path.stat().st_ino for path in Path("results/variant").rglob("*.h5")} == before
+    assert next(
+        each for each in branch(Path(base.results), other, yes=True) if each.stage == "summaries"
+    ).n_removed

@@ -15,7 +15,12 @@ import pytest
 from warmlens.artifacts.file import ArtifactError
 from warmlens.campaign import run as front_end
 from warmlens.campaign.locks import LockedError
+from warmlens.campaign.start import YES
+from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config
+from warmlens.config.types import ConfigError
+
+from ..reliability import Outcome, fault
 
 
 @pytest.fixture
@@ -36,14 +41,18 @@ def called(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
 
     def watch(command: list[str], results: Path, cores: int) -> int:
         calls.append(command[1:])
+        overlays = map(Path, command[command.index("--configfile") + 1 :])
+        calls.extend([path.read_text()] for path in overlays if path.exists())
         return 7
 
     monkeypatch.setattr(front_end, "_watch", watch)
+    monkeypatch.setenv(YES, "")
     return calls
 
 
 def test_snakemake_is_called_with_profile_and_overlays(campaign: Path, called: list[list[str]]) -> None:
-    assert front_end.run([Path("a.yaml"), Path("b.yaml")], campaign, 3, ["results/here/abc.h5", "--dry-run"]) == 7
+    overlays, extra = [Path("a.yaml"), Path("b.yaml")], ["results/here/abc.h5", "--dry-run"]
+    assert front_end.run(read_campaign(campaign), overlays, 3, extra) == 7
     assert called[0][:4] == ["--cores", "3", "--workflow-profile", "workflow/profiles/local"]
     assert called[0][4:6] == ["results/here/abc.h5", "--dry-run"]
     assert called[0][6:] == ["--configfile", "a.yaml", "b.yaml"]
@@ -55,9 +64,9 @@ def test_another_profile_says_how_many_cores_unless_they_are_given(
     front_end.resume(campaign, 0, ["--workflow-profile", "mine"])
     assert "--cores" not in called[0] and called[0][2:4] == ["--workflow-profile", "mine"]
     front_end.resume(campaign, 5, ["--workflow-profile", "mine"])
-    assert called[1][:2] == ["--cores", "5"]
+    assert called[2][:2] == ["--cores", "5"]
     front_end.resume(campaign, 0, [])
-    assert called[2][:2] == ["--cores", str(front_end.default_cores())]
+    assert called[4][:2] == ["--cores", str(front_end.default_cores())]
 
 
 def test_resume_takes_the_configuration_of_the_last_run(campaign: Path, called: list[list[str]]) -> None:
@@ -65,14 +74,61 @@ def test_resume_takes_the_configuration_of_the_last_run(campaign: Path, called: 
     assert called[0][-2:] == ["--configfile", "results/here/config.json"]
 
 
-def test_extend_raises_the_number_alone(campaign: Path, called: list[list[str]]) -> None:
-    before = json.loads((campaign / "config.json").read_text())
+def test_extend_raises_the_number_alone_and_leaves_the_record_to_the_start(
+    campaign: Path, called: list[list[str]]
+) -> None:
+    recorded = (campaign / "config.json").read_text()
     front_end.extend(campaign, 5000, 2, [])
-    after = json.loads((campaign / "config.json").read_text())
-    assert after.pop("campaign") == before.pop("campaign") | {"n_samples": 5000}
-    assert after == before and called
-    with pytest.raises(ArtifactError, match="has 5000 samples already"):
-        front_end.extend(campaign, 5000, 2, [])
+    before, given = json.loads(recorded), json.loads(called[1][0])
+    assert given.pop("campaign") == before.pop("campaign") | {"n_samples": 5000}
+    assert given == before
+    assert [path.name for path in campaign.iterdir()] == ["config.json"]
+    assert (campaign / "config.json").read_text() == recorded, "a start that has not begun changes nothing"
+    with pytest.raises(ArtifactError, match="has 2483 samples already"):
+        front_end.extend(campaign, 2483, 2, [])
+
+
+@fault("Origin", "a campaign is extended while its images cannot be read", "their variable unset", quick=True)
+def test_extend_without_the_images_changes_nothing(
+    campaign: Path, called: list[list[str]], monkeypatch: pytest.MonkeyPatch, outcome: Outcome
+) -> None:
+    raw = json.loads((campaign / "config.json").read_text())
+    bands = {
+        band: {"science": "$NO_SUCH/a.fits", "psf": "$NO_SUCH/b.fits"} for band in raw["observation"]["bands"]
+    }
+    raw["observation"] |= {"kind": "fits", "fits": bands}
+    (campaign / "config.json").write_text(json.dumps(raw))
+    monkeypatch.delenv("NO_SUCH", raising=False)
+    for start in (lambda: front_end.extend(campaign, 5000, 2, []), lambda: front_end.resume(campaign, 2, [])):
+        with pytest.raises(ConfigError) as error:
+            start()
+        outcome.stops(str(error.value), "the environment variable NO_SUCH is not set")
+    assert json.loads((campaign / "config.json").read_text()) == raw and not called
+    assert [path.name for path in campaign.iterdir()] == ["config.json"]
+
+
+@pytest.mark.parametrize(
+    ("given", "yes", "handed_on"), [("", False, "ask"), ("", True, "1"), ("1", False, "1"), ("0", True, "1")]
+)
+def test_snakemake_is_told_whether_to_ask(
+    campaign: Path,
+    called: list[list[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    given: str,
+    yes: bool,
+    handed_on: str,
+) -> None:
+    monkeypatch.setenv(YES, given)
+    front_end.resume(campaign, 2, [], yes)
+    assert os.environ[YES] == handed_on
+
+
+def test_what_validate_says_is_printed_first(
+    campaign: Path, called: list[list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(front_end, "check_observation", lambda config: [f"checked for {config.results}"])
+    front_end.resume(campaign, 2, [])
+    assert capsys.readouterr().out.startswith("checked for results/here\n")
 
 
 def test_moved_results_are_refused(campaign: Path, called: list[list[str]]) -> None:
@@ -87,7 +143,7 @@ def test_folders_that_are_not_right(campaign: Path, called: list[list[str]]) -> 
         front_end.resume(Path("nowhere"), 2, [])
     Path("Snakefile").unlink()
     with pytest.raises(ArtifactError, match="has no Snakefile"):
-        front_end.run([], campaign, 2, [])
+        front_end.resume(campaign, 2, [])
     assert not called
 
 

@@ -10,9 +10,19 @@ import pytest
 
 from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, write_artifact
 from warmlens.campaign import status
-from warmlens.campaign.files import stage_files
-from warmlens.campaign.status import StageStatus, campaign_status, progress_line
+from warmlens.campaign.files import note_file, stage_files
+from warmlens.campaign.status import (
+    StageStatus,
+    campaign_status,
+    failure_lines,
+    failures,
+    note_ended,
+    print_status,
+    progress_line,
+)
 from warmlens.config.model import Config
+
+from ..reliability import Outcome, fault
 
 
 @pytest.fixture
@@ -79,3 +89,52 @@ def _stages(*seconds_and_done: tuple[float | None, int]) -> list[StageStatus]:
 )
 def test_line_of_progress(stages: list[StageStatus], line: str) -> None:
     assert progress_line(stages, 2) == line
+
+
+def _log(config: Config, stage: str, text: str, span: tuple[int, int] | None = None) -> Path:
+    path = note_file(config, stage, "logs", span)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    return path
+
+
+TRACEBACK = "12:00:00 ERROR where it happened\nTraceback (most recent call last):\n  File x\nValueError: bad\n"
+
+
+@fault("Machine", "a job fails", "a typo in a lens model, and jobs that were killed", quick=True)
+def test_a_failed_job_is_one_line_until_it_is_run_again(config: Config, outcome: Outcome) -> None:
+    log = _log(config, "smooth_model", f"{TRACEBACK}warmlens: EPLL is no lens model;\n  known are EPL, SIE\n")
+    mocks = _log(config, "mocks", "10:00:00 INFO sample 3\n", (250, 500))
+    assert [failure.what for failure in failures(config)] == ["smooth_model"], "mocks may be running"
+    note_ended([mocks, log, log.with_name("none.log")])
+    lines = failure_lines(config)
+    assert len(lines) == 2 and not any("\n" in line for line in lines)
+    assert lines[0] == f"warmlens: smooth_model: EPLL is no lens model; known are EPL, SIE; log: {log}"
+    assert lines[1].startswith("warmlens: mocks, samples 250 to 500: ended without a message: killed, or out of")
+    outcome.stops(lines[0], "EPLL is no lens model; known are EPL, SIE", str(log))
+    log.write_text("12:01:00 INFO reading\n")  # started again
+    _write_chunk(stage_files(config, "halos")[0], [0])
+    _log(config, "halos", "warmlens: of an earlier start", (0, 250))
+    assert [failure.what for failure in failures(config)] == ["mocks, samples 250 to 500"]
+
+
+def test_failed_figures_and_report(config: Config) -> None:
+    for name in ("figures/answer", "report"):
+        path = Path(config.results) / f"logs/{name}.log"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("psf: drawn\nwarmlens: the disk is full\n")
+    assert [failure.what for failure in failures(config)] == ["figures answer", "report"]
+
+
+def test_many_and_long_failures_are_counted_and_shortened(config: Config) -> None:
+    for number in range(8):
+        _log(config, "halos", f"warmlens: {'long ' * 1000}", (250 * number, 250 * (number + 1)))
+    lines = failure_lines(config)
+    assert lines[0].startswith("3 more jobs failed, see `warmlens status ") and len(lines) == 6
+    assert max(map(len, lines)) < 500
+
+
+def test_status_prints_failures(config: Config, capsys: pytest.CaptureFixture[str]) -> None:
+    _log(config, "smooth_model", "warmlens: [bold]EPLL[/] is no lens model")
+    print_status(campaign_status(config), failures(config), 2)
+    assert "failed: smooth_model: [bold]EPLL[/] is no lens model; log: " in capsys.readouterr().out

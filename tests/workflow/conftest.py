@@ -15,6 +15,7 @@ import yaml
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import REPORT
+from warmlens.campaign.start import YES
 
 from ..shared import shared_folder
 from . import forked
@@ -62,8 +63,12 @@ class Project:
         profile = ["--workflow-profile", "workflow/profiles/local", "--cores", str(cores)]
         return [str(BIN / "snakemake"), *arguments, *profile, "--configfile", *overlays]
 
-    def snakemake(self, *arguments: str, cores: int = 2, check: bool = True) -> subprocess.CompletedProcess[str]:
-        done = forked.run(self.command(*arguments, cores=cores), self.folder, {**os.environ, "NO_COLOR": "1"})
+    def snakemake(
+        self, *arguments: str, cores: int = 2, check: bool = True, yes: bool = False
+    ) -> subprocess.CompletedProcess[str]:
+        """Run Snakemake; with `yes`, artifacts that do not fit the configuration are discarded."""
+        environment = {**os.environ, "NO_COLOR": "1", YES: "1" if yes else ""}
+        done = forked.run(self.command(*arguments, cores=cores), self.folder, environment)
         if check and done.returncode:
             raise AssertionError(f"snakemake failed:\n{done.stdout}\n{done.stderr}")
         return done

@@ -6,6 +6,7 @@ arguments and an environment of its own, and an exit code.
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import runpy
@@ -49,7 +50,10 @@ def _become(command: Sequence[str], folder: Path, environment: Mapping[str, str]
     os.environ.clear()
     os.environ.update(environment)
     sys.argv = list(command)
-    runpy.run_path(command[0], run_name="__main__")
+    try:
+        runpy.run_path(command[0], run_name="__main__")
+    finally:
+        atexit._run_exitfuncs()  # which multiprocessing leaves out
 
 
 if __name__ == "child":

@@ -268,6 +268,9 @@ def test_failed_samples_are_carried_to_the_table_and_left_out(
     assert done.returncode != 0
     outcome.goes_on("the samples fail, the others go on", "those samples, counted as failed")
     outcome.stops(done.stdout + done.stderr, "more than abc.max_failed_fraction = 0.1 allows")
+    last = done.stderr.splitlines()[-1]
+    assert last.startswith("warmlens: abc: ") and last.endswith("; log: results/tiny/logs/abc.log")
+    assert f"failed: {last.removeprefix('warmlens: ')}" in project.warmlens("status", "results/tiny").stdout
 
 
 def test_audit_names_an_altered_and_a_missing_artifact(copy_of: Callable[[], Project]) -> None:
@@ -285,11 +288,10 @@ def test_audit_names_an_altered_and_a_missing_artifact(copy_of: Callable[[], Pro
     assert f"{missing.relative_to(project.folder)}: missing" in audit.stdout
 
 
-def test_abc_refuses_artifacts_of_other_settings(copy_of: Callable[[], Project]) -> None:
-    """As when Snakemake's records are lost and the configuration has changed: nothing stale is used."""
-    project = copy_of()
-    project.configure({"summaries": {"threshold": -3.0}})
-    (project.results / "abc.h5").unlink()
-    done = project.snakemake(ABC, "--rerun-triggers", "mtime", check=False)
-    assert done.returncode != 0
-    assert "made with other settings" in done.stdout + done.stderr
+def test_jobs_that_read_all_chunks_get_a_list(project: Project) -> None:
+    """The arguments of a job do not grow with the campaign."""
+    shown = project.snakemake(ABC, "--dry-run", "--printshellcmds")
+    text = " ".join((shown.stdout + shown.stderr).split())
+    assert "--input summaries=@results/tiny/settings/summaries.files.json" in text
+    assert text.count("--input shards=@results/tiny/settings/scan_operator.files.json") == 4
+    assert "--input shards=results" not in text

@@ -8,9 +8,9 @@ rule abc:
         settings=settings("abc"),
         inputs=input_words,
     log:
-        note("logs", "abc", "log"),
+        note("logs", "abc"),
     benchmark:
-        note("benchmarks", "abc", "tsv")
+        note("benchmarks", "abc")
     resources:
         mem_mb=answer_memory_mb(CAMPAIGN),
         runtime=30,

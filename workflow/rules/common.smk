@@ -1,4 +1,5 @@
 # Configuration, paths and what every rule shares.
+import atexit
 import os
 import shlex
 import sys
@@ -13,6 +14,7 @@ from warmlens.artifacts.names import (
     CONFIG,
     CRATE,
     FIGURE_VERSION,
+    FILES,
     LEDGER,
     MANIFEST,
     MANIFEST_VERSION,
@@ -21,15 +23,16 @@ from warmlens.artifacts.names import (
     SETTINGS,
 )
 from warmlens.campaign import locks
-from warmlens.campaign.derived import REPORT_LEDGER, derived_files, drawn_groups, figure_inputs
-from warmlens.campaign.files import artifact_files, resolve_window, stage_inputs
-from warmlens.campaign.records import check_unrecorded
-from warmlens.campaign.settings import write_settings
+from warmlens.campaign.derived import REPORT_LEDGER, derived_files, drawn_groups, figure_inputs, ledgers
+from warmlens.campaign.files import artifact_files, note_name, resolve_window, stage_inputs
+from warmlens.campaign.settings import LISTED, write_settings
+from warmlens.campaign.start import check_consent, compare_present, order_times, write_started
+from warmlens.campaign.status import failure_lines, note_ended
 from warmlens.config.digest import canonical_json, settings_digest
 from warmlens.config.file import ConfigError, parse_config
 from warmlens.config.yaml import read_yaml
 from warmlens.products.time_limit import SAMPLE_SECONDS
-from warmlens.stage_table import STAGES, answer_memory_mb, campaign_stages, stage_digests, stage_settings
+from warmlens.stage_table import STAGES, answer_memory_mb, campaign_stages, stage_settings
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
@@ -51,6 +54,17 @@ except ConfigError as error:
 ARTIFACTS = artifact_files(CAMPAIGN)
 ANSWER = campaign_stages(CAMPAIGN)[-1]  # abc, or exclusion on a grid, which has no posterior to draw
 DRAWN = drawn_groups(CAMPAIGN)
+FORCED = set()  # artifacts that do not fit the configuration, whatever Snakemake knows of them
+
+if workflow.is_main_process:
+    try:
+        PRESENT = compare_present(CAMPAIGN)
+        if n_changed := order_times(PRESENT):
+            print(f"{n_changed} finished files were older than what they were made from: times set", file=sys.stderr)
+    except (ArtifactError, ConfigError) as error:
+        raise WorkflowError(str(error)) from None
+    FORCED.update(map(str, PRESENT.to_make))
+    print(*filter(None, (PRESENT.describe(), PRESENT.describe_derived())), sep="\n", end="", file=sys.stderr)
 
 
 wildcard_constraints:
@@ -67,6 +81,9 @@ def results(name):
 
 def inputs(stage):
     def of_job(wildcards):
+        if FORCED:  # as --forcerun does, which would add them to the targets
+            workflow.dag.forcefiles.update(FORCED)
+            FORCED.clear()
         span = (int(wildcards.start), int(wildcards.stop)) if "{span}" in STAGES[stage].output else None
         return {
             name: str(paths) if isinstance(paths, Path) else [str(path) for path in paths]
@@ -85,14 +102,15 @@ def settings(stage):
     return canonical_json(stage_settings(CAMPAIGN, stage).as_dict())
 
 
-def note(folder, stage, kind):
+def note(folder, stage):
     # a file for people beside the artifact of a job: logs/halos/0000000-0000250.log
-    name = STAGES[stage].output.format(span="{start}-{stop}").removesuffix(".h5")
-    return results(f"{folder}/{name.replace('/chunk-', '/').replace('/shard-', '/')}.{kind}")
+    return results(note_name(stage, folder, "{start}-{stop}"))
 
 
 def input_words(wildcards, input):
-    pairs = ((name, path) for name, paths in input.items() for path in ([paths] if isinstance(paths, str) else paths))
+    # thousands of chunks do not fit into a command line: those that are read together stand in a file
+    lists = {name: f"@{results(FILES.format(stage=source))}" for name, source in LISTED.items()}
+    pairs = ((name, lists.get(name, path)) for name, path in input.items())
     return " ".join(f"--input {name}={shlex.quote(path)}" for name, path in pairs)
 
 
@@ -115,21 +133,18 @@ def unique(paths):
     return list(dict.fromkeys(str(path) for path in paths))
 
 
-if workflow.is_main_process:
-    try:
-        check_unrecorded(ARTIFACTS, stage_digests(CAMPAIGN), Path())
-    except (ArtifactError, ConfigError) as error:
-        raise WorkflowError(str(error)) from None
-
-
 onstart:
     try:
         locks.begin(Path(), Path(CAMPAIGN.results))
+        if not workflow.touch:
+            check_consent(PRESENT, {str(path) for job in workflow.dag.needrun_jobs() for path in job.output})
     except (ArtifactError, locks.LockedError) as error:
-        raise WorkflowError(str(error)) from None
+        locks.end(Path(), Path(CAMPAIGN.results))
+        sys.exit(f"warmlens: {error}")  # as the last line
     with atomic_path(Path(results(CONFIG))) as temporary:
         temporary.write_text(CAMPAIGN.model_dump_json(indent=2), encoding="utf-8")
     write_settings(CAMPAIGN)
+    write_started(PRESENT)
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 
 
@@ -141,5 +156,8 @@ onsuccess:
 
 onerror:
     locks.end(Path(), Path(CAMPAIGN.results))
+    failed = [job for each in workflow.scheduler.failed for job in (each if each.is_group() else [each])]
+    note_ended([Path(log) for job in failed for log in job.log])
     print(f"Finished artifacts are kept. `warmlens status {CAMPAIGN.results}` shows what is done and what failed;")
     print("start the same command again to go on from there.")
+    atexit.register(lambda: print(*failure_lines(CAMPAIGN), sep="\n", file=sys.stderr))  # Snakemake has a few lines more

@@ -7,9 +7,9 @@ rule deflections:
         settings=settings("deflections"),
         inputs=input_words,
     log:
-        note("logs", "deflections", "log"),
+        note("logs", "deflections"),
     benchmark:
-        note("benchmarks", "deflections", "tsv")
+        note("benchmarks", "deflections")
     resources:
         mem_mb=1000,
         runtime=60,

@@ -9,9 +9,9 @@ rule exclusion:
         settings=settings("exclusion"),
         inputs=input_words,
     log:
-        note("logs", "exclusion", "log"),
+        note("logs", "exclusion"),
     benchmark:
-        note("benchmarks", "exclusion", "tsv")
+        note("benchmarks", "exclusion")
     resources:
         mem_mb=answer_memory_mb(CAMPAIGN),
         runtime=30,

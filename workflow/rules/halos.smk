@@ -1,12 +1,14 @@
 rule halos:
+    input:
+        unpack(inputs("halos")),
     output:
         ensure(output("halos"), non_empty=True),
     params:
         settings=settings("halos"),
     log:
-        note("logs", "halos", "log"),
+        note("logs", "halos"),
     benchmark:
-        note("benchmarks", "halos", "tsv")
+        note("benchmarks", "halos")
     resources:
         mem_mb=1000,
         runtime=60,

@@ -7,9 +7,9 @@ rule mocks:
         settings=settings("mocks"),
         inputs=input_words,
     log:
-        note("logs", "mocks", "log"),
+        note("logs", "mocks"),
     benchmark:
-        note("benchmarks", "mocks", "tsv")
+        note("benchmarks", "mocks")
     resources:
         mem_mb=1000,
         runtime=60,

@@ -8,9 +8,9 @@ rule null_mocks:
         settings=settings("null_mocks"),
         inputs=input_words,
     log:
-        note("logs", "null_mocks", "log"),
+        note("logs", "null_mocks"),
     benchmark:
-        note("benchmarks", "null_mocks", "tsv")
+        note("benchmarks", "null_mocks")
     resources:
         mem_mb=1000,
         runtime=60,
@@ -30,9 +30,9 @@ rule null_scans:
         settings=settings("null_scans"),
         inputs=input_words,
     log:
-        note("logs", "null_scans", "log"),
+        note("logs", "null_scans"),
     benchmark:
-        note("benchmarks", "null_scans", "tsv")
+        note("benchmarks", "null_scans")
     resources:
         mem_mb=3000,
         runtime=120,
@@ -51,9 +51,9 @@ rule null_summaries:
         settings=settings("null_summaries"),
         inputs=input_words,
     log:
-        note("logs", "null_summaries", "log"),
+        note("logs", "null_summaries"),
     benchmark:
-        note("benchmarks", "null_summaries", "tsv")
+        note("benchmarks", "null_summaries")
     resources:
         mem_mb=1000,
         runtime=30,

@@ -14,15 +14,17 @@ def observation_files():
 
 rule observation:
     input:
-        observation_files(),
+        unpack(inputs("observation")),
+        # their digests are compared at every start: a copy, or an older file, has another time
+        [ancient(path) for path in observation_files()],
     output:
         ensure(output("observation"), non_empty=True),
     params:
         settings=settings("observation"),
     log:
-        note("logs", "observation", "log"),
+        note("logs", "observation"),
     benchmark:
-        note("benchmarks", "observation", "tsv")
+        note("benchmarks", "observation")
     resources:
         mem_mb=2000,
         runtime=10,

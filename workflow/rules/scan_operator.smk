@@ -7,9 +7,9 @@ rule scan_design:
         settings=settings("scan_design"),
         inputs=input_words,
     log:
-        note("logs", "scan_design", "log"),
+        note("logs", "scan_design"),
     benchmark:
-        note("benchmarks", "scan_design", "tsv")
+        note("benchmarks", "scan_design")
     resources:
         mem_mb=3000,
         runtime=30,
@@ -29,9 +29,9 @@ rule scan_operator:
         settings=settings("scan_operator"),
         inputs=input_words,
     log:
-        note("logs", "scan_operator", "log"),
+        note("logs", "scan_operator"),
     benchmark:
-        note("benchmarks", "scan_operator", "tsv")
+        note("benchmarks", "scan_operator")
     resources:
         mem_mb=3000,
         runtime=60,

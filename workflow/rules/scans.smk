@@ -7,9 +7,9 @@ rule observed_scan:
         settings=settings("observed_scan"),
         inputs=input_words,
     log:
-        note("logs", "observed_scan", "log"),
+        note("logs", "observed_scan"),
     benchmark:
-        note("benchmarks", "observed_scan", "tsv")
+        note("benchmarks", "observed_scan")
     resources:
         mem_mb=3000,
         runtime=60,
@@ -28,9 +28,9 @@ rule scans:
         settings=settings("scans"),
         inputs=input_words,
     log:
-        note("logs", "scans", "log"),
+        note("logs", "scans"),
     benchmark:
-        note("benchmarks", "scans", "tsv")
+        note("benchmarks", "scans")
     resources:
         mem_mb=3000,
         runtime=120,

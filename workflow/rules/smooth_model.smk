@@ -7,9 +7,9 @@ rule smooth_model:
         settings=settings("smooth_model"),
         inputs=input_words,
     log:
-        note("logs", "smooth_model", "log"),
+        note("logs", "smooth_model"),
     benchmark:
-        note("benchmarks", "smooth_model", "tsv")
+        note("benchmarks", "smooth_model")
     resources:
         mem_mb=3000,
         runtime=30,

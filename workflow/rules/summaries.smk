@@ -7,9 +7,9 @@ rule observed_summary:
         settings=settings("observed_summary"),
         inputs=input_words,
     log:
-        note("logs", "observed_summary", "log"),
+        note("logs", "observed_summary"),
     benchmark:
-        note("benchmarks", "observed_summary", "tsv")
+        note("benchmarks", "observed_summary")
     resources:
         mem_mb=1000,
         runtime=10,
@@ -28,9 +28,9 @@ rule summaries:
         settings=settings("summaries"),
         inputs=input_words,
     log:
-        note("logs", "summaries", "log"),
+        note("logs", "summaries"),
     benchmark:
-        note("benchmarks", "summaries", "tsv")
+        note("benchmarks", "summaries")
     resources:
         mem_mb=1000,
         runtime=30,

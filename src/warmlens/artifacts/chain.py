@@ -98,7 +98,7 @@ class Chain:
                 with open_artifact(path, *filter(None, [stage])) as artifact, reading(path):
                     sources = input_paths(artifact, place)
                     header = artifact.header
-                    self._read[path] = header, sources
+                    self._read[path] = self._read[path.resolve()] = header, sources
                     if hashed and content_digest(artifact.file, artifact.metadata) != header.digest:
                         findings.append(Finding(path, "altered: its content does not match its digest", "altered"))
         except (ArtifactError, OSError) as error:

@@ -14,6 +14,7 @@ from warmlens.artifacts.chain import Chain
 from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.files import artifact_files, stage_files
+from warmlens.campaign.start import check_consent, compare_present
 from warmlens.config.model import Config
 from warmlens.stage_table import campaign_stages, stage_digests, stage_settings
 
@@ -42,21 +43,25 @@ class StageBranch:
         return self.n_linked + self.n_there == self.n_files
 
 
-def branch(base: Path, config: Config) -> list[StageBranch]:
+def branch(base: Path, config: Config, yes: bool = False) -> list[StageBranch]:
     """Hard-link all artifacts of the results folder `base` that are right for `config` into `config.results`.
 
     An artifact is right if it is complete, was made with exactly the settings that its stage has under `config`,
     and all its inputs in the new folder have the content that it was made from. Across file systems it is
     copied. Times are kept, so that Snakemake finds it up to date. The last stage is always left to the workflow.
-    The new folder may hold an earlier, also an interrupted, branch.
+    The new folder may hold an earlier, also an interrupted, branch; with `yes`, what it has computed with other
+    settings is removed without asking.
 
     Raises
     ------
     ArtifactError
-        If the base is no campaign, or the new folder holds a campaign that is no branch.
+        If the base is no campaign, or the new folder holds a campaign that is no branch, or artifacts of its own
+        that would be removed.
     """
     target = Path(config.results)
     _check_folders(base, target, config)
+    if not yes and (target / MARK).is_file():
+        check_consent(compare_present(config), _computed_in(target, base, config))
     with atomic_path(target / MARK) as temporary:
         temporary.write_text(json.dumps({"base": os.path.relpath(base, target)}) + "\n", encoding="utf-8")
     digests = stage_digests(config)
@@ -80,6 +85,15 @@ def branch(base: Path, config: Config) -> list[StageBranch]:
             _date_like(base / SINGLE[stage], target / SINGLE[stage])
         branches.append(StageBranch(stage, len(files), linked, there, removed))
     return branches
+
+
+def _computed_in(target: Path, base: Path, config: Config) -> set[str]:
+    """Return the artifacts of an earlier branch that are no links to those of the base."""
+    paths = [path for path in artifact_files(config) if path.exists()]
+    originals = {path: base / path.relative_to(target) for path in paths}
+    return {
+        str(path) for path, original in originals.items() if not (original.exists() and path.samefile(original))
+    }
 
 
 def _check_folders(base: Path, target: Path, config: Config) -> None:

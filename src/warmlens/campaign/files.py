@@ -13,6 +13,8 @@ from warmlens.scan.raster import Raster
 from warmlens.stage_table import STAGES, campaign_stages, stage_settings
 from warmlens.stages.job import Job, make_job
 
+_NOTES = {"logs": "log", "benchmarks": "tsv"}  # kinds of the files beside an artifact
+
 
 def resolve_window(config: Config) -> Config:
     """Return the configuration with the window of the scan: as given, or around the unmasked pixels of all bands.
@@ -64,14 +66,30 @@ def stage_file(config: Config, name: str, span: Span | None = None) -> Path:
     return Path(config.results) / STAGES[name].output.format(span=span_name(span) if span else "")
 
 
-def stage_files(config: Config, name: str) -> list[Path]:
-    """Return all artifacts of a stage; none of a null test that is switched off."""
+def stage_spans(config: Config, name: str) -> Sequence[Span | None]:
+    """Return the span of every artifact of a stage, None for a whole; none of a null test that is switched off."""
     stage = STAGES[name]
     if stage.of_null_test and not config.null_test.n_mocks:
         return []
     if stage.by_sample or stage.by_position:
-        return [stage_file(config, name, span) for span in (chunks if stage.by_sample else shards)(config)]
-    return [stage_file(config, name)]
+        return (chunks if stage.by_sample else shards)(config)
+    return [None]
+
+
+def stage_files(config: Config, name: str) -> list[Path]:
+    """Return all artifacts of a stage; none of a null test that is switched off."""
+    return [stage_file(config, name, span) for span in stage_spans(config, name)]
+
+
+def note_file(config: Config, name: str, folder: str, span: Span | None = None) -> Path:
+    """Return the file in "logs" or "benchmarks" that the job of an artifact writes."""
+    return Path(config.results) / note_name(name, folder, span_name(span) if span else "")
+
+
+def note_name(name: str, folder: str, span: str) -> str:
+    """Return its path below the results folder: logs/halos/0000000-0000250.log."""
+    artifact = STAGES[name].output.format(span=span).removesuffix(".h5")
+    return f"{folder}/{artifact.replace('/chunk-', '/').replace('/shard-', '/')}.{_NOTES[folder]}"
 
 
 def stage_inputs(config: Config, name: str, span: Span | None = None) -> dict[str, Path | Sequence[Path]]:

@@ -13,55 +13,69 @@ from types import FrameType
 from typing import Any
 
 from warmlens.artifacts.file import ArtifactError, atomic_path
-from warmlens.artifacts.names import CONFIG
+from warmlens.artifacts.names import CONFIG, EXTENDED
 from warmlens.campaign import locks
+from warmlens.campaign.preflight import check_observation
 from warmlens.campaign.snakemake import SNAKEMAKE, arguments, recorded_results
+from warmlens.campaign.start import ASK, YES
 from warmlens.campaign.status import campaign_status, progress_line, read_campaign
 from warmlens.config.file import ConfigError, parse_config
+from warmlens.config.model import Config
 
 _REPORT_SECONDS = 15.0
 _POLL_SECONDS = 0.2
 
 
-def run(overlays: Sequence[Path], results: Path, cores: int, extra: Sequence[str]) -> int:
+def run(config: Config, overlays: Sequence[Path], cores: int, extra: Sequence[str], yes: bool = False) -> int:
     """Run Snakemake on config.yaml and overlays in this folder; return its exit code.
 
     Parameters
     ----------
+    config
+        What they say, for checks and for the progress.
     overlays
         Configuration files, later ones win.
-    results
-        Results folder that they name, for the progress.
     cores
         Jobs at a time; 0: all cores of this machine, or what a profile among `extra` says.
     extra
         Targets and flags, which go to Snakemake as they are.
+    yes
+        Whether finished artifacts that do not fit are discarded without asking.
 
     Raises
     ------
     ArtifactError
         If this is not the folder of the workflow.
+    ConfigError
+        If the images cannot be used.
     LockedError
         If another Snakemake is at work here, or may be.
     """
-    folder = Path()
+    folder, results = Path(), Path(config.results)
     if not (folder / "Snakefile").is_file():
         raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
+    for line in check_observation(config):
+        print(line, flush=True)
     lift_abandoned_lock(folder, overlays)
     bring_back_from_the_future(results)
     own_profile = any(word.startswith("--workflow-profile") for word in extra)
     size = None if own_profile and not cores else cores or default_cores()
+    os.environ[YES] = (
+        "1" if yes else os.environ.get(YES) or ASK
+    )  # Snakemake asks, once it knows what it would make
     return _watch([SNAKEMAKE, *arguments(size, overlays, extra)], results, cores or default_cores())
 
 
-def resume(results: Path, cores: int, extra: Sequence[str]) -> int:
+def resume(results: Path, cores: int, extra: Sequence[str], yes: bool = False) -> int:
     """Go on with a campaign as it was last started; return Snakemake's exit code."""
-    _read_own(results)
-    return run([results / CONFIG], results, cores, extra)
+    config = parse_config(_read_own(results))
+    return run(config, [results / CONFIG], cores, extra, yes)
 
 
-def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str]) -> int:
+def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str], yes: bool = False) -> int:
     """Raise the number of samples of a campaign and go on with it; return Snakemake's exit code.
+
+    The campaign has the new number as soon as it has started.
 
     Raises
     ------
@@ -74,10 +88,14 @@ def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str]) -> i
     if n_samples <= present:
         raise ArtifactError(f"{path}: the campaign has {present} samples already; extend takes the new total")
     raw["campaign"]["n_samples"] = n_samples
-    parse_config(raw)
-    with atomic_path(path) as temporary:
+    config = parse_config(raw)
+    overlay = results / EXTENDED
+    with atomic_path(overlay) as temporary:
         temporary.write_text(json.dumps(raw, indent=2), encoding="utf-8")
-    return run([path], results, cores, extra)
+    try:
+        return run(config, [overlay], cores, extra, yes)
+    finally:
+        overlay.unlink(missing_ok=True)
 
 
 def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:

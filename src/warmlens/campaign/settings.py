@@ -1,4 +1,4 @@
-"""Settings of the stages as files that their jobs read."""
+"""What the jobs of the stages read beside artifacts: files of settings, and lists of inputs."""
 
 from __future__ import annotations
 
@@ -6,19 +6,53 @@ import json
 from pathlib import Path
 
 from warmlens.artifacts.file import atomic_path
-from warmlens.artifacts.names import SETTINGS
+from warmlens.artifacts.names import FILES, SETTINGS
+from warmlens.campaign.files import stage_files
 from warmlens.config.digest import canonical_json
 from warmlens.config.file import parse_block
 from warmlens.config.model import Config
 from warmlens.config.types import ConfigError
 from warmlens.stage_table import STAGES, StageSettings, campaign_stages, stage_settings
 
+LISTED = {
+    name: source for row in STAGES.values() for name, source in row.inputs.items() if row.reads_all_of(source)
+}
+
 
 def write_settings(config: Config) -> None:
-    """Write the settings of every stage of a campaign into its results folder."""
+    """Write the settings of every stage, and lists of the artifacts that are read together, to the results folder.
+
+    A campaign may have thousands of chunks, and the shell takes 128 KiB of arguments.
+    """
     for name in campaign_stages(config):
-        with atomic_path(Path(config.results) / SETTINGS.format(stage=name)) as temporary:
-            temporary.write_text(canonical_json(stage_settings(config, name).as_dict()) + "\n", encoding="utf-8")
+        _write(config, SETTINGS.format(stage=name), canonical_json(stage_settings(config, name).as_dict()))
+        if name in LISTED.values():
+            paths = [str(path) for path in stage_files(config, name)]
+            _write(config, FILES.format(stage=name), json.dumps(paths, indent=0))
+
+
+def _write(config: Config, name: str, text: str) -> None:
+    with atomic_path(Path(config.results) / name) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def read_paths(text: str) -> list[Path]:
+    """Return the path that `text` is, or, of @FILE, the paths that the JSON list in the file holds.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, or it does not hold a list of texts.
+    """
+    if not text.startswith("@"):
+        return [Path(text)]
+    try:
+        paths = json.loads(Path(text[1:]).read_text(encoding="utf-8"))
+        if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
+            raise ValueError("expected a JSON list of paths")
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError([f"{text}: no list of files ({error}); a start of the campaign writes it"]) from None
+    return [Path(path) for path in paths]
 
 
 def read_settings(name: str, source: str) -> StageSettings:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,14 +12,18 @@ from rich.table import Table
 
 from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.artifacts.names import CHUNKED, CONFIG, NULL
-from warmlens.campaign.files import stage_files
+from warmlens.campaign.files import note_file, stage_file, stage_files, stage_spans
 from warmlens.config.file import read_stored
 from warmlens.config.model import Config
-from warmlens.stage_table import campaign_stages
+from warmlens.stage_table import STAGES, campaign_stages
 from warmlens.text import Terminal, duration
 
 _SAMPLED = (*CHUNKED, *NULL)
 _MAX_NAMED = 3  # stages in a line of progress; the others are counted
+_MAX_FAILURES = 5  # in the last lines of a run
+_ERROR = "warmlens: "  # how a command ends that failed
+_TAIL = 2**16  # bytes of a log that are searched for it
+_WIDEST = 400  # of a reason
 
 
 @dataclass(frozen=True)
@@ -89,6 +94,62 @@ def _read(path: Path, stage: str, _written: int) -> tuple[float, int, int]:
         return artifact.wall_seconds, int((~failed).sum()), int(failed.sum())
 
 
+@dataclass(frozen=True)
+class Failure:
+    """A job that failed and has not been run again: what it was to make, why it failed, and its log."""
+
+    what: str
+    reason: str
+    log: Path
+
+    def __str__(self) -> str:
+        return f"{self.what}: {self.reason}; log: {self.log}"
+
+
+def failures(config: Config) -> list[Failure]:
+    """Return the jobs that failed, from their logs: a job that is run again starts a new one."""
+    failed = []
+    for stage in campaign_stages(config):
+        for span in stage_spans(config, stage):
+            log = note_file(config, stage, "logs", span)
+            if not stage_file(config, stage, span).exists() and (reason := _last_error(log)):
+                kind = "samples" if STAGES[stage].by_sample else "positions"
+                failed.append(Failure(stage + (f", {kind} {span[0]} to {span[1]}" if span else ""), reason, log))
+    logs = Path(config.results) / "logs"
+    others = {log: f"figures {log.stem}" for log in sorted((logs / "figures").glob("*.log"))}
+    others |= {logs / f"{name}.log": name for name in ("report", "manifest")}
+    return failed + [Failure(what, reason, log) for log, what in others.items() if (reason := _last_error(log))]
+
+
+def failure_lines(config: Config) -> list[str]:
+    """Return a line for each failed job; of many the last ones, after their number."""
+    lines = [f"{_ERROR}{failure}" for failure in failures(config)]
+    n_left = len(lines) - _MAX_FAILURES
+    more = f"{n_left} more jobs failed, see `warmlens status {config.results}`"
+    return lines if n_left <= 0 else [more, *lines[n_left:]]
+
+
+def note_ended(logs: Sequence[Path]) -> None:
+    """Add to the logs of failed jobs without a message that they were ended from outside."""
+    for log in logs:
+        if log.is_file() and not _last_error(log):
+            with log.open("a") as handle:
+                handle.write(f"\n{_ERROR}ended without a message: killed, or out of memory or time\n")
+
+
+def _last_error(log: Path) -> str:
+    """Return the message that a command ended with, as one line; "" if it ended well or has not ended."""
+    if not log.is_file():
+        return ""
+    text = log.read_bytes()[-_TAIL:].decode(errors="replace")
+    start = text.rfind(f"\n{_ERROR}")
+    start = start + 1 if start >= 0 else 0
+    if not text.startswith(_ERROR, start):
+        return ""
+    message = " ".join(text[start:].removeprefix(_ERROR).split())
+    return message if len(message) <= _WIDEST else f"{message[:_WIDEST]}..."
+
+
 def progress_line(stages: list[StageStatus], cores: int) -> str:
     """Return in one line how far a campaign is: stages under way, and the time left on a number of cores."""
     begun = [row for row in stages if 0 < row.n_done < row.n_files]
@@ -98,8 +159,8 @@ def progress_line(stages: list[StageStatus], cores: int) -> str:
     return "; ".join([f"{done} of {total} artifacts", *parts, left])
 
 
-def print_status(stages: list[StageStatus], cores: int) -> None:
-    """Print the status as a table, and the time left on a number of cores."""
+def print_status(stages: list[StageStatus], failed: Sequence[Failure], cores: int) -> None:
+    """Print the status as a table, failed jobs, and the time left on a number of cores."""
     table = Table("stage", "artifacts", "samples", "failed", "seconds each", "left", box=None)
     for row in stages:
         left = row.seconds_left
@@ -113,6 +174,8 @@ def print_status(stages: list[StageStatus], cores: int) -> None:
         )
     console = Terminal(soft_wrap=False)
     console.print(table)
+    for failure in failed:
+        console.print(f"failed: {failure}", markup=False, highlight=False, soft_wrap=True)
     console.print(_time_left(stages, cores))
 
 

@@ -32,26 +32,29 @@ Artifacts = Annotated[
 ]
 Results = Annotated[Path, typer.Argument(help="Results folder of a campaign.")]
 Cores = Annotated[int, typer.Option(help="Jobs at a time; 0: all cores.")]
+Yes = Annotated[
+    bool, typer.Option("--yes", help="Discard finished artifacts that do not fit the configuration, unasked.")
+]
 _PASSED_ON = {"allow_extra_args": True}  # to Snakemake
 
 
 @app.command(context_settings=_PASSED_ON)
-def run(context: typer.Context, configfile: ConfigFiles = None, cores: Cores = 0) -> None:
+def run(context: typer.Context, configfile: ConfigFiles = None, cores: Cores = 0, yes: Yes = False) -> None:
     """Start the campaign of config.yaml and overlays, or go on with it; what follows `--` goes to Snakemake.
 
     Another profile goes there too: `-- --workflow-profile workflow/profiles/slurm`.
     """
     from warmlens.campaign import run as front_end
 
-    raise typer.Exit(front_end.run(configfile or [], Path(_load(configfile).results), cores, context.args))
+    raise typer.Exit(front_end.run(_load(configfile), configfile or [], cores, context.args, yes))
 
 
 @app.command(context_settings=_PASSED_ON)
-def resume(context: typer.Context, results: Results, cores: Cores = 0) -> None:
+def resume(context: typer.Context, results: Results, cores: Cores = 0, yes: Yes = False) -> None:
     """Go on with a campaign as it was last started, also after a kill; what follows `--` goes to Snakemake."""
     from warmlens.campaign import run as front_end
 
-    raise typer.Exit(front_end.resume(results, cores, context.args))
+    raise typer.Exit(front_end.resume(results, cores, context.args, yes))
 
 
 @app.command(context_settings=_PASSED_ON)
@@ -60,11 +63,12 @@ def extend(
     results: Results,
     n_samples: Annotated[int, typer.Argument(help="Samples in all, more than there are.")],
     cores: Cores = 0,
+    yes: Yes = False,
 ) -> None:
     """Raise the number of samples of a campaign; finished work is kept."""
     from warmlens.campaign import run as front_end
 
-    raise typer.Exit(front_end.extend(results, n_samples, cores, context.args))
+    raise typer.Exit(front_end.extend(results, n_samples, cores, context.args, yes))
 
 
 @app.command()
@@ -74,10 +78,10 @@ def status(
 ) -> None:
     """Show what is done, what failed and how long the rest will take."""
     from warmlens.campaign.answer import answer_problems
-    from warmlens.campaign.status import campaign_status, print_status, read_campaign
+    from warmlens.campaign.status import campaign_status, failures, print_status, read_campaign
 
     config = read_campaign(results)
-    print_status(campaign_status(config), cores or os.cpu_count() or 1)
+    print_status(campaign_status(config), failures(config), cores or os.cpu_count() or 1)
     for problem in answer_problems(config):
         typer.echo(problem)
 
@@ -220,13 +224,14 @@ def manifest(
 def branch(
     base: Annotated[Path, typer.Argument(help="Results folder of the campaign to start from.")],
     configfile: ConfigFiles = None,
+    yes: Yes = False,
 ) -> None:
     """Start a campaign from another one: artifacts that the change does not affect are hard-linked."""
     from warmlens.campaign.branch import branch as take_over
     from warmlens.campaign.snakemake import snakemake_command
 
     config = _load_campaign(configfile)
-    stages = take_over(base, config)
+    stages = take_over(base, config, yes)
     for stage in stages:
         left = stage.n_files - stage.n_linked - stage.n_there
         gone = f", {stage.n_removed} of other settings removed" if stage.n_removed else ""

@@ -24,7 +24,11 @@ def stage(
     output: Annotated[Path, typer.Option(help="Artifact to write.")],
     input_: Annotated[
         list[str] | None,
-        typer.Option("--input", metavar="NAME=FILE", help="Artifact that it reads; repeat the option."),
+        typer.Option(
+            "--input",
+            metavar="NAME=FILE",
+            help="Artifact that it reads; repeat the option. NAME=@FILE: all that the JSON list in FILE names.",
+        ),
     ] = None,
     span: Annotated[
         tuple[int, int] | None,
@@ -35,12 +39,12 @@ def stage(
     ] = SAMPLE_SECONDS,
 ) -> None:
     """Run one stage of a campaign: read its inputs, do its work, write its artifact."""
-    from warmlens.campaign.settings import read_settings
+    from warmlens.campaign.settings import read_paths, read_settings
     from warmlens.stages.job import make_job, run_job
 
     inputs: dict[str, list[Path]] = {}
     for key, _, path in (word.partition("=") for word in input_ or []):
-        inputs.setdefault(key, []).append(Path(path))
+        inputs.setdefault(key, []).extend(read_paths(path))
     run_job(make_job(name, read_settings(name, settings), output, inputs, span, sample_seconds))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import time
@@ -22,6 +23,7 @@ from warmlens.campaign.branch import StageBranch, branch
 from warmlens.campaign.files import resolve_window, stage_files
 from warmlens.campaign.run import lift_abandoned_lock
 from warmlens.campaign.snakemake import SNAKEMAKE, arguments
+from warmlens.campaign.start import YES
 from warmlens.config.file import ConfigError, load_config, merge
 from warmlens.config.model import Config
 from warmlens.config.types import Block, Name, ResultsFolder
@@ -135,8 +137,9 @@ def _run_variant(
     started = time.monotonic()
     last = "abc" if variant.bound else "observed_summary"
     try:
-        _print_state(branch(Path(base.results), config), last, console)
-        reason = _snakemake(config, overlays, last, cores, Path(config.results) / LOG) or _audit(config, last)
+        _print_state(branch(Path(base.results), config, yes=True), last, console)  # variants follow their file
+        log = Path(config.results) / LOG
+        reason = _snakemake(config, overlays, last, cores, log, yes=True) or _audit(config, last)
     except ArtifactError as error:
         reason = str(error)
     if reason:
@@ -154,13 +157,16 @@ def _print_state(stages: Sequence[StageBranch], last: str, console: Console) -> 
     console.print(f"  {n_there} of {n_files} artifacts are there" + (f"; to make: {left}" if left else ""))
 
 
-def _snakemake(config: Config, overlays: Sequence[Path], stage: str, cores: int, log: Path) -> str:
+def _snakemake(
+    config: Config, overlays: Sequence[Path], stage: str, cores: int, log: Path, yes: bool = False
+) -> str:
     """Run the workflow up to a stage, its output in `log`; return why it failed, "" if it did not."""
     lift_abandoned_lock(Path(), overlays)
     command = [SNAKEMAKE, *arguments(cores, overlays, [str(stage_files(config, stage)[0])])]
     log.parent.mkdir(parents=True, exist_ok=True)
+    environment = os.environ | ({YES: "1"} if yes else {})
     with log.open("w", encoding="utf-8") as handle:
-        done = subprocess.run(command, stdout=handle, stderr=subprocess.STDOUT, check=False)
+        done = subprocess.run(command, stdout=handle, stderr=subprocess.STDOUT, env=environment, check=False)
     return "" if done.returncode == 0 else last_words(log)
 
 
