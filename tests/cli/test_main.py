@@ -113,7 +113,7 @@ def test_commands_of_stages_as_they_were_are_translated() -> None:
     ("arguments", "message"),
     [
         (("status", "nowhere"), "nowhere/config.json: no such file; is nowhere the results folder"),
-        (("result", "nowhere"), "nowhere/abc.h5: no such artifact"),
+        (("result", "nowhere"), "nowhere/config.json: no such file"),
         (("report", "nowhere"), "nowhere/config.json: no such file"),
         (("show", "nowhere", "0"), "nowhere/config.json: no such file"),
         (("params", "scan"), "unknown stage 'scan'"),

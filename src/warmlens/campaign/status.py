@@ -133,7 +133,7 @@ def note_ended(logs: Sequence[Path]) -> None:
     """Add to the logs of failed jobs without a message that they were ended from outside."""
     for log in logs:
         if log.is_file() and not _last_error(log):
-            with log.open("a") as handle:
+            with log.open("a", encoding="utf-8") as handle:
                 handle.write(f"\n{_ERROR}ended without a message: killed, or out of memory or time\n")
 
 

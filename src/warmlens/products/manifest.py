@@ -24,6 +24,7 @@ class ManifestFile(Listing):
     settings_sha256: str | None = None
     git_commit: str | None = None
     created_utc: str | None = None
+    machine: str | None = None
 
 
 class Manifest(Listing):
