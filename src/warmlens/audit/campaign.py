@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -142,4 +143,7 @@ def _strays(results: Path, expected: Mapping[Path, str]) -> list[str]:
     folders = dict.fromkeys((results / name).parent for name in SINGLE.values())
     folders |= dict.fromkeys(results / stage for stage in CHUNKED)
     strays = [path for folder in folders for path in sorted(folder.glob("*.h5")) if path not in expected]
-    return [f"{path}: no part of this campaign, and nothing reads it" for path in strays]
+    return [
+        f"{path}: no part of this campaign, and nothing reads it; `rm {shlex.quote(str(path))}` tidies up"
+        for path in strays
+    ]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -38,7 +39,8 @@ def mending(audit: CampaignAudit, overlays: Sequence[Path] = ()) -> Mending:
     """Return how to mend what an audit of a campaign has found, with `overlays` if it was compared with these."""
     records = (*audit.artifacts, *audit.files)
     of_manifest = [finding.path for finding in audit.manifest_findings]
-    wrong = [record.path for record in records if _is_wrong(record)]
+    exchanged = _exchanged(audit.artifacts)
+    wrong = [record.path for record in records if _is_wrong(record) or record.path in exchanged]
     missing = any(record.verdict == "missing" or _lacks_artifact(record) for record in records)
     advice = _outside_advice(audit) + _discard_advice(audit)
     if not wrong and not missing:
@@ -50,7 +52,8 @@ def mending(audit: CampaignAudit, overlays: Sequence[Path] = ()) -> Mending:
         words = [word for path in overlays for word in ("--configfile", str(path))]
         commands.append(shlex.join(["warmlens", "audit", str(results), *words, "--remove"]))
     elif remove:
-        commands.append(shlex.join(["rm", *(str(results / path.relative_to(audit.results)) for path in remove)]))
+        words = ["rm", "-r"] if any(path.is_dir() for path in remove) else ["rm"]
+        commands.append(shlex.join([*words, *(str(results / path.relative_to(audit.results)) for path in remove)]))
     commands.append(_start_command(results, overlays))
     return Mending((*advice, *moved), tuple(remove), tuple(commands))
 
@@ -65,8 +68,32 @@ def _manifest_commands(audit: CampaignAudit) -> tuple[str, ...]:
 
 
 def _is_wrong(record: Record) -> bool:
-    """Return whether a file is to be made again; not for an input that is not there, which comes first."""
-    return any(finding.kind != "missing" and finding.absent is None for finding in record.findings)
+    """Return whether a file is to be removed; not for an input that is missing or damaged, which comes first."""
+    return any(
+        finding.kind != "missing" and finding.absent is None and not (finding.kind == "inputs" and finding.cause)
+        for finding in record.findings
+    )
+
+
+def _exchanged(artifacts: Sequence[Record]) -> set[Path]:
+    """Return the sound artifacts whose content is not what another was made from, though of the same settings.
+
+    The answer records the settings of every stage before it. An artifact with these has the same content whenever
+    it is made, so that one that has not was exchanged; one of new settings has just been made, and stays.
+    """
+    answers = [record.header.settings for record in artifacts if record.header]
+    upstream: dict[str, str] = next((settings["upstream"] for settings in answers if "upstream" in settings), {})
+    by_place = {record.path.resolve(): record for record in artifacts}
+    exchanged = set()
+    for user in artifacts:
+        for name, source in user.sources.items() if user.header else ():
+            record = by_place.get(source.resolve())
+            if record is None or record.header is None or record.findings:
+                continue
+            same_settings = upstream.get(record.stage) == record.header.settings_sha256
+            if same_settings and user.header and user.header.inputs[name]["digest"] != record.header.digest:
+                exchanged.add(record.path)
+    return exchanged
 
 
 def _lacks_artifact(record: Record) -> bool:
@@ -80,6 +107,8 @@ def _outside_advice(audit: CampaignAudit) -> tuple[str, ...]:
         for finding in record.findings if record.stage == "observation" else ():
             if finding.absent:
                 texts.append(f"put {finding.absent} back: the campaign cannot make it")
+            elif finding.kind == "inputs" and finding.cause:
+                texts.append(f"{finding.path}: {finding.problem}; make it readable: the campaign cannot make it")
             elif finding.kind == "inputs":
                 texts.append(
                     f"{finding.path}: {finding.problem}; put the old file back if the change was not meant, or "
@@ -116,3 +145,12 @@ def _working_folder(results: Path) -> tuple[Path | None, Path, tuple[str, ...]]:
         "work there, with the results at that place"
     )
     return None, recorded, (problem,)
+
+
+def remove_files(paths: Sequence[Path]) -> None:
+    """Delete files, and folders in the place of files."""
+    for path in paths:
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        else:
+            path.unlink(missing_ok=True)

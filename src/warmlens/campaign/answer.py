@@ -50,7 +50,8 @@ def check_chain(config: Config, paths: Iterable[Path]) -> None:
     ArtifactError
         Naming the first artifact that does not fit, why, and what to do.
     """
-    files = dict.fromkeys(paths, "")
+    # inputs lie beside the artifact itself, not beside a link to it
+    files = {path.resolve() if path.is_symlink() else path: "" for path in paths}
     absent: list[Path] = []
     for record in walk(files, stage_digests(config), hashed=files):
         for finding in record.findings:
@@ -79,8 +80,8 @@ def answer_problems(config: Config) -> list[str]:
     if names:
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         lines.append(
-            f"not what they derive from: {', '.join(names[:_SHOWN])}{more}; `warmlens audit {config.results}` "
-            "says how to mend it"
+            f"not what they derive from: {', '.join(names[:_SHOWN])}{more}; "
+            f"`warmlens audit {config.results}` says how to mend it"
         )
     return lines
 

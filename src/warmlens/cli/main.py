@@ -169,7 +169,7 @@ def audit(
     It ends with the commands that mend what is wrong.
     """
     from warmlens.audit.campaign import audit_campaign
-    from warmlens.audit.mending import mending
+    from warmlens.audit.mending import mending, remove_files
     from warmlens.audit.report import as_json, print_audit
     from warmlens.campaign.derived import derived_files
     from warmlens.campaign.files import artifact_files
@@ -187,8 +187,8 @@ def audit(
         print_audit(checked, mend)
     if not remove:
         raise typer.Exit(0 if checked.sound else 1)
+    remove_files(mend.remove)
     for path in mend.remove:
-        path.unlink(missing_ok=True)
         typer.echo(f"removed {path}", err=json_)
 
 
