@@ -108,6 +108,7 @@ def test_a_failed_job_is_one_line_until_it_is_run_again(config: Config, outcome:
     assert [failure.what for failure in failures(config)] == ["smooth_model"], "mocks may be running"
     note_ended([mocks, log, log.with_name("none.log")])
     lines = failure_lines(config)
+    assert failure_lines(config, log.stat().st_mtime + 60.0) == []
     assert len(lines) == 2 and not any("\n" in line for line in lines)
     assert lines[0] == f"warmlens: smooth_model: EPLL is no lens model; known are EPL, SIE; log: {log}"
     assert lines[1].startswith("warmlens: mocks, samples 250 to 500: ended without a message: killed, or out of")
@@ -131,7 +132,7 @@ def test_many_and_long_failures_are_counted_and_shortened(config: Config) -> Non
         _log(config, "halos", f"warmlens: {'long ' * 1000}", (250 * number, 250 * (number + 1)))
     lines = failure_lines(config)
     assert lines[0].startswith("3 more jobs failed, see `warmlens status ") and len(lines) == 6
-    assert max(map(len, lines)) < 500
+    assert max(map(len, lines)) < 460 + len(str(failures(config)[0].log)) and "..." in lines[1]
 
 
 def test_status_prints_failures(config: Config, capsys: pytest.CaptureFixture[str]) -> None:

@@ -3,6 +3,7 @@ import atexit
 import os
 import shlex
 import sys
+import time
 from pathlib import Path
 
 from snakemake.exceptions import WorkflowError
@@ -64,7 +65,8 @@ if workflow.is_main_process:
     except (ArtifactError, ConfigError) as error:
         raise WorkflowError(str(error)) from None
     FORCED.update(map(str, PRESENT.to_make))
-    print(*filter(None, (PRESENT.describe(), PRESENT.describe_derived())), sep="\n", end="", file=sys.stderr)
+    for line in filter(None, (PRESENT.describe(), PRESENT.describe_derived())):
+        print(line, file=sys.stderr)
 
 
 wildcard_constraints:
@@ -133,6 +135,15 @@ def unique(paths):
     return list(dict.fromkeys(str(path) for path in paths))
 
 
+def print_failures(started):
+    if workflow.scheduler is None:
+        return
+    failed = [job for each in workflow.scheduler.failed for job in (each if each.is_group() else [each])]
+    note_ended([Path(log) for job in failed for log in job.log])
+    for line in failure_lines(CAMPAIGN, started) if failed else []:
+        print(line, file=sys.stderr)
+
+
 onstart:
     try:
         locks.begin(Path(), Path(CAMPAIGN.results))
@@ -145,6 +156,7 @@ onstart:
         temporary.write_text(CAMPAIGN.model_dump_json(indent=2), encoding="utf-8")
     write_settings(CAMPAIGN)
     write_started(PRESENT)
+    atexit.register(print_failures, time.time())  # the last lines: Snakemake has some after `onerror`
     print(f"What is done, what is left and how long: warmlens status {CAMPAIGN.results}")
 
 
@@ -156,8 +168,5 @@ onsuccess:
 
 onerror:
     locks.end(Path(), Path(CAMPAIGN.results))
-    failed = [job for each in workflow.scheduler.failed for job in (each if each.is_group() else [each])]
-    note_ended([Path(log) for job in failed for log in job.log])
     print(f"Finished artifacts are kept. `warmlens status {CAMPAIGN.results}` shows what is done and what failed;")
     print("start the same command again to go on from there.")
-    atexit.register(lambda: print(*failure_lines(CAMPAIGN), sep="\n", file=sys.stderr))  # Snakemake has a few lines more

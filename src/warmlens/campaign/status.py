@@ -121,9 +121,10 @@ def failures(config: Config) -> list[Failure]:
     return failed + [Failure(what, reason, log) for log, what in others.items() if (reason := _last_error(log))]
 
 
-def failure_lines(config: Config) -> list[str]:
-    """Return a line for each failed job; of many the last ones, after their number."""
-    lines = [f"{_ERROR}{failure}" for failure in failures(config)]
+def failure_lines(config: Config, since: float = 0.0) -> list[str]:
+    """Return a line for each job that failed after a time [s since the epoch]; of many the last few."""
+    recent = [failure for failure in failures(config) if failure.log.stat().st_mtime >= since - 1.0]
+    lines = [f"{_ERROR}{failure}" for failure in recent]
     n_left = len(lines) - _MAX_FAILURES
     more = f"{n_left} more jobs failed, see `warmlens status {config.results}`"
     return lines if n_left <= 0 else [more, *lines[n_left:]]

@@ -31,6 +31,7 @@ MAX_FALL = 3.0  # Monte-Carlo errors by which the bound may fall when fewer samp
 CLUSTER_P = 1e-3  # KS probability that the failed samples are drawn like the others
 MIN_FAILED = 3  # failures that can cluster
 
+_SHOWN = 3  # stages by name
 # What the same code has to make: mocks are compared with each other, with the observation and with the null test
 COMPARED = {
     "halos": ("halos",),
@@ -241,8 +242,8 @@ def code_reasons(codes: Mapping[str, Collection[str]], uncommitted: Collection[s
             )
             reasons.append(Reason(NOT_USABLE, text))
     if uncommitted:
-        stages_ = ", ".join(sorted(uncommitted))
-        reasons.append(Reason(MEASURED, f"made by code with changes that were not committed: {stages_}"))
+        named = ", ".join(sorted(uncommitted)) if len(uncommitted) <= _SHOWN else f"{len(uncommitted)} stages"
+        reasons.append(Reason(MEASURED, f"made by code with changes that were not committed: {named}"))
     return reasons
 
 
