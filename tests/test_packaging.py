@@ -29,6 +29,26 @@ def test_lock_holds_exact_pins_and_no_addresses() -> None:
     assert all(re.fullmatch(r"[A-Za-z0-9_.-]+==[A-Za-z0-9_.+!]+", line) for line in LOCK)
 
 
+def test_text_files_are_utf_8_in_every_locale() -> None:
+    """A call that reads or writes text has its encoding."""
+    careless = []
+    for path in [*(ROOT / "src").rglob("*.py"), *(ROOT / "workflow").rglob("*.smk"), ROOT / "Snakefile"]:
+        for call in re.finditer(r"\.(?:read_text|write_text|open)\(", path.read_text(encoding="utf-8")):
+            arguments = _arguments(call.string, call.end())
+            is_text = "open" not in call[0] or re.match(r'"[rwxa]"|newline|$', arguments)
+            if is_text and "encoding=" not in arguments:
+                careless.append(f"{path.relative_to(ROOT)}: {call[0]}{arguments})")
+    assert not careless
+
+
+def _arguments(text: str, start: int) -> str:
+    depth, end = 1, start
+    while depth:
+        depth += {"(": 1, ")": -1}.get(text[end], 0)
+        end += 1
+    return text[start : end - 1]
+
+
 def test_lock_covers_all_dependencies() -> None:
     extras = PROJECT["optional-dependencies"]
     wanted = {_name(item) for item in PROJECT["dependencies"] + extras["dev"] + extras["slurm"]}

@@ -1,10 +1,19 @@
 from __future__ import annotations
 
+import io
 import math
+import re
+from pathlib import Path
 
 import pytest
+from rich.markup import escape
+from rich.table import Table
+from rich.text import Text
 
 from warmlens import text
+from warmlens.text import Terminal, visible
+
+from .reliability import Outcome, fault
 
 
 def test_numbers_and_pairs() -> None:
@@ -71,3 +80,31 @@ def test_durations() -> None:
         "1 h 00 min",
         "10 h 01 min",
     ]
+
+
+def test_all_that_is_printed_goes_through_the_terminal() -> None:
+    sources = [path for path in Path(text.__file__).parent.rglob("*.py") if path.name != "text.py"]
+    consoles = [path.name for path in sources if re.search(r"\bConsole\(", path.read_text(encoding="utf-8"))]
+    assert consoles == ["progress.py"], "which prints nothing of a file"
+
+
+HOSTILE = "\x1b[2J\x1b]0;title\x07gone\rover\x9b31m\u202eback [bold]y \udcff"
+SHOWN = r"\x1b[2J\x1b]0;title\x07gone\rover\x9b31m\u202eback [bold]y \udcff"
+
+
+@fault("Machine", "a foreign artifact has control codes of a terminal", "in texts that are printed", quick=True)
+def test_control_codes_do_not_reach_the_terminal(outcome: Outcome) -> None:
+    assert visible(HOSTILE) == SHOWN
+    assert visible("a\tb\nµ ☉ ≥ +- χ²") == "a\tb\nµ ☉ ≥ +- χ²"
+    for tty in (False, True):
+        terminal = Terminal(file=io.StringIO(), force_terminal=tty, width=300, color_system=None)
+        table = Table("title", min_width=200)
+        table.add_row(Text(HOSTILE, no_wrap=True))
+        terminal.print(HOSTILE, markup=False)
+        terminal.print(f"[bold red]WARNING[/] {escape(HOSTILE)}")
+        terminal.print(table)
+        written = terminal.file.getvalue()
+        assert written.count(SHOWN.replace(r"\x07", "").replace(r"\r", "")) == 3, "rich leaves these out"
+        assert not {"\x07", "\r", "\x9b", "\u202e", "\udcff"} & set(written)
+        assert "\x1b[2J" not in written and "\x1b]0" not in written
+    outcome.goes_on("they are spelled out", "nothing")

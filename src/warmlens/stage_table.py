@@ -27,6 +27,7 @@ from warmlens.config.observation import ObservationBlock
 from warmlens.config.scan import ScanBlock, SummariesBlock
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.config.types import Block
+from warmlens.inference.memory import peak_mb
 
 
 class StageSettings(Block):
@@ -245,19 +246,19 @@ STAGES: dict[str, Stage] = {
     for stage in (
         Stage("observation", "observation:run", "observation.h5", ObservationSettings, 2, narrow=_observation),
         Stage(
-            "smooth_model", "smooth_model:run", "smooth_model.h5", SmoothModelSettings, 4,
+            "smooth_model", "smooth_model:run", "smooth_model.h5", SmoothModelSettings, 5,
             {"observation": "observation"},
         ),
         Stage(
-            "scan_design", "scan_operator:run_design", "scan_operator/design.h5", ScanSettings, 3,
+            "scan_design", "scan_operator:run_design", "scan_operator/design.h5", ScanSettings, 4,
             _IMAGE, _operator,
         ),
         Stage(
-            "scan_operator", "scan_operator:run", "scan_operator/shard-{span}.h5", ScanSettings, 3,
+            "scan_operator", "scan_operator:run", "scan_operator/shard-{span}.h5", ScanSettings, 4,
             {**_IMAGE, "design": "scan_design"}, _operator,
         ),
         Stage(
-            "observed_scan", "scans:run_observed", "observed_scan.h5", ScanSettings, 3,
+            "observed_scan", "scans:run_observed", "observed_scan.h5", ScanSettings, 4,
             _OPERATOR, _observed_scan,
         ),
         Stage(
@@ -270,14 +271,14 @@ STAGES: dict[str, Stage] = {
             {"halos": "halos", "observation": "observation"},
         ),
         Stage("mocks", "mocks:run", f"mocks/{_CHUNK}", MocksSettings, 1, {"deflections": "deflections", **_IMAGE}),
-        Stage("scans", "scans:run", f"scans/{_CHUNK}", ScanSettings, 3, {"mocks": "mocks", **_OPERATOR}, _scans),
+        Stage("scans", "scans:run", f"scans/{_CHUNK}", ScanSettings, 4, {"mocks": "mocks", **_OPERATOR}, _scans),
         Stage(
             "summaries", "summaries:run", f"summaries/{_CHUNK}", SummariesSettings, 3,
             {"scans": "scans"}, _raster,
         ),
         Stage("null_mocks", "mocks:run_null", "null/mocks.h5", NullMocksSettings, 1, _IMAGE),
         Stage(
-            "null_scans", "scans:run", "null/scans.h5", ScanSettings, 3,
+            "null_scans", "scans:run", "null/scans.h5", ScanSettings, 4,
             {"mocks": "null_mocks", **_OPERATOR}, _operator,
         ),
         Stage(
@@ -285,10 +286,10 @@ STAGES: dict[str, Stage] = {
             {"scans": "null_scans"}, _raster,
         ),
         Stage(
-            "abc", "abc.run:run", "abc.h5", AbcSettings, 3,
+            "abc", "abc.run:run", "abc.h5", AbcSettings, 4,
             {**_ANSWER, "null_summaries": "null_summaries"}, _upstream,
         ),
-        Stage("exclusion", "exclusion:run", "exclusion.h5", ExclusionSettings, 1, _ANSWER, _exclusion),
+        Stage("exclusion", "exclusion:run", "exclusion.h5", ExclusionSettings, 2, _ANSWER, _exclusion),
     )
 }  # fmt: skip
 
@@ -308,6 +309,15 @@ def stage_settings(config: Config, name: str) -> StageSettings:
     blocks = {**dict(config), "seed": campaign.seed, "n_samples": campaign.n_samples}
     values = {key: blocks[key] for key in stage.settings.model_fields if key in blocks}
     return stage.settings(**(values | stage.narrow(config) | {"stage_version": stage.version}))
+
+
+def answer_memory_mb(config: Config) -> int:
+    """Return the memory [MB] that the stage of the answer needs at most: it grows with the samples."""
+    scan, summaries = config.scan, config.summaries
+    n_maps = 2 if "amplitude" in scan.statistics else 1  # with a correlation function and a single number each
+    n_separations = 1 + round(summaries.max_separation_arcsec / scan.step_arcsec)
+    n_numbers = n_maps * (n_separations + 1) + summaries.cumulative_bins + len(summaries.count_thresholds)
+    return peak_mb(config.campaign.n_samples, n_numbers, config.abc.bootstrap, config.abc.leave_one_out)
 
 
 def stage_digests(config: Config) -> dict[str, str]:

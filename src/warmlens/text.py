@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
+
+from rich.console import Console, ConsoleOptions, RenderableType
+from rich.segment import Segment
 
 _PRIORS = {
     "uniform_m": "uniform in m_TH",
@@ -25,8 +28,32 @@ _SUMMARIES = {
     "learned_m": "learned summary of m_TH",
     "learned_mass": "learned summary of M_h",
 }
+MEANING = {  # of the verdicts on a bound
+    "measured": "the image measures this bound",
+    "prior only": "the image says nothing that the prior does not say",
+    "not usable": "this bound may be wrong, do not quote it",
+}
+# Control codes but line feed and tab, what turns the direction of text, and bytes of a file name that are no text.
+_CODES = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200b-\u200f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 _NUMBER = r"(-?[\d.]+)"
 _ARCSEC = ("theta_E", "center_x", "center_y", "ra_0", "dec_0", "R_sersic", "beta", "x", "y")
+
+
+class Terminal(Console):
+    """The terminal: texts of files, which may come from anybody, move no cursor and hide nothing on it."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**{"highlight": False, "soft_wrap": True, **options})
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
+        """Render what is printed, with its control codes made visible."""
+        for text, style, control in super().render(renderable, options):
+            yield Segment(text if control else visible(text), style, control)
+
+
+def visible(text: str) -> str:
+    """Return a text with its control codes spelled out: ESC as \\x1b."""
+    return _CODES.sub(lambda code: code[0].encode("unicode_escape").decode("ascii"), text)
 
 
 def number(value: float | None, digits: int = 2) -> str:

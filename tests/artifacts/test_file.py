@@ -1,7 +1,12 @@
 from __future__ import annotations
 
 import errno
+import fcntl
+import os
 import shutil
+import subprocess
+import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +16,9 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts import file as artifacts
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, open_input, write_artifact
+
+from ..reliability import Outcome, fault
 
 
 def _datasets(value: float = 1.0) -> dict[str, Dataset]:
@@ -190,6 +197,153 @@ def test_what_the_seal_is_for(tmp_path: Path) -> None:
         del file.attrs["seal"]
     with open_artifact(path) as artifact:  # one of an early version
         assert artifact.metadata["bound"] == 2.7
+
+
+LARGE = Dataset(np.arange(6e5, dtype=np.float32).reshape(6, 100, 1000), "arcsec", ("n", "y", "x"), "2.4 MB")
+
+
+def _exchange(file: h5py.File) -> None:
+    file.move("a/large", "aside")
+    file.move("b/large", "a/large")
+    file.move("aside", "b/large")
+
+
+def _exchange_groups(file: h5py.File) -> None:
+    file.move("a", "aside")
+    file.move("b", "a")
+    file.move("aside", "b")
+
+
+def _exchange_rows(file: h5py.File) -> None:
+    node = file["a/large"]
+    node[...] = node[...][[0, 2, 1, 3, 4, 5]]
+
+
+def _exchange_small_rows(file: h5py.File) -> None:
+    file["a/small"][...] = file["a/small"][...][::-1]
+
+
+def _one_number(file: h5py.File) -> None:
+    file["a/large"][5, 99, 999] += 1.0
+
+
+def _other_type(file: h5py.File) -> None:
+    data, attributes = file["a/large"][...].astype(np.float64), dict(file["a/large"].attrs)
+    del file["a/large"]
+    file.create_dataset("a/large", data=data, fletcher32=True, chunks=(1, 100, 1000)).attrs.update(attributes)
+
+
+def _removed(file: h5py.File) -> None:
+    del file["b/small"]
+
+
+def _added(file: h5py.File) -> None:
+    file["a/more"] = np.ones(3)
+
+
+def _other_unit(file: h5py.File) -> None:
+    file["a/large"].attrs["unit"] = np.bytes_("mas")
+
+
+def _other_axes(file: h5py.File) -> None:
+    file["a/large"].attrs["axes"] = file["a/large"].attrs["axes"][::-1]
+
+
+CHANGES = [
+    *(_exchange, _exchange_groups, _exchange_rows, _exchange_small_rows, _one_number, _other_type),
+    *(_removed, _added, _other_unit, _other_axes),
+]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_no_array_is_read_that_is_not_as_it_was_written(tmp_path: Path, change: Callable[..., None]) -> None:
+    path = _in_two_bands(tmp_path)
+    _read_all(path)
+    with h5py.File(path, "r+") as file:
+        change(file)
+    with (
+        pytest.raises(ArtifactError, match="since it was written; delete the file"),
+        open_artifact(path) as artifact,
+    ):
+        for name in artifact.names:
+            artifact.array(name)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_inputs_of_early_versions_are_hashed(tmp_path: Path, change: Callable[..., None]) -> None:
+    path = _in_two_bands(tmp_path)
+    with h5py.File(path, "r+") as file:
+        del file.attrs["arrays"], file.attrs["machine"]
+    with open_input(path) as artifact:
+        assert artifact.machine == "" and artifact.array("a/large").shape == (6, 100, 1000)
+    os.utime(path, ns=(1, 1))
+    with h5py.File(path, "r+") as file:
+        change(file)
+    if change in (_other_unit, _other_axes):  # which the digest does not hold
+        return
+    with pytest.raises(ArtifactError, match="changed since it was written"), open_input(path):
+        pass
+
+
+def _read_all(path: Path) -> None:
+    with open_artifact(path) as artifact:
+        for name in artifact.names:
+            artifact.array(name)
+
+
+def _in_two_bands(folder: Path) -> Path:
+    small = Dataset(np.arange(4.0), "keV", ("n",), "numbers")
+    other = replace(LARGE, data=LARGE.data[::-1])
+    datasets = {"a/large": LARGE, "b/large": other, "a/small": small, "b/small": small}
+    write_artifact(folder / "a.h5", Provenance("halos", {}), datasets, {})
+    return folder / "a.h5"
+
+
+def test_what_is_not_read_is_not_hashed(tmp_path: Path) -> None:
+    """The seals of arrays cost the header nothing, and a large array its checksums alone."""
+    path = _in_two_bands(tmp_path)
+    with open_artifact(path) as artifact:
+        artifact.array("a/large")
+        assert artifact.unchecked is not None and set(artifact.unchecked) == {"b/large", "a/small", "b/small"}
+
+
+@fault("Machine", "another program has locked an artifact", "flock on it, as HDF5 locks; it is read", quick=True)
+def test_a_locked_file_is_read(tmp_path: Path, outcome: Outcome) -> None:
+    _write(tmp_path / "a.h5")
+    with (tmp_path / "a.h5").open("r+b") as other:
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        with open_artifact(tmp_path / "a.h5") as artifact:
+            artifact.array("numbers")
+        assert _write(tmp_path / "a.h5", value=2.0), "it is replaced, too"
+    outcome.goes_on("read and replaced: no lock is asked for", "nothing")
+
+
+@fault("Machine", "the system refuses to read or lock a file", "errors 5, 11, 13, 37, 95, 116, 524", quick=True)
+@pytest.mark.parametrize("number", [errno.EIO, errno.EAGAIN, errno.EACCES, errno.ENOLCK, 95, errno.ESTALE, 524])
+def test_a_file_is_not_blamed_for_the_machine(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, outcome: Outcome, number: int
+) -> None:
+    _write(tmp_path / "a.h5")
+    what = "unable to lock file" if number in (errno.EAGAIN, errno.ENOLCK, 95, 524) else "file read failed"
+
+    def fail(*_: Any, **__: Any) -> None:
+        raise OSError(f"Unable to synchronously open file ({what}, errno = {number}, error message = '...')")
+
+    monkeypatch.setattr(artifacts.h5py, "File", fail)
+    with pytest.raises(ArtifactError) as error, open_artifact(tmp_path / "a.h5"):
+        pass
+    assert "delete" not in str(error.value)
+    outcome.stops(str(error.value), "cannot be read now", f"errno {number}", "a.h5", "repeat the command")
+
+
+def test_a_file_that_is_being_written_by_another_program(tmp_path: Path) -> None:
+    _write(tmp_path / "a.h5")
+    writer = "import h5py, os, sys; file = h5py.File(sys.argv[1], 'r+'); file.flush(); os._exit(0)"
+    subprocess.run([sys.executable, "-c", writer, str(tmp_path / "a.h5")], check=True)  # killed
+    with pytest.raises(
+        ArtifactError, match="is being written by another program, or that was killed: end it, or "
+    ):
+        open_artifact(tmp_path / "a.h5").__enter__()
 
 
 def test_a_chunk_that_holds_another_span(tmp_path: Path) -> None:

@@ -113,14 +113,20 @@ def test_commands_of_stages_as_they_were_are_translated() -> None:
     ("arguments", "message"),
     [
         (("status", "nowhere"), "nowhere/config.json: no such file; is nowhere the results folder"),
-        (("result", "nowhere"), "nowhere/abc.h5: no such artifact"),
+        (("result", "nowhere"), "nowhere/config.json: no such file"),
         (("report", "nowhere"), "nowhere/config.json: no such file"),
         (("show", "nowhere", "0"), "nowhere/config.json: no such file"),
         (("params", "scan"), "unknown stage 'scan'"),
         (("validate", "--configfile", "absent.yaml"), "absent.yaml: no such file"),
+        (("audit", "a" * 256), f"{'a' * 256}/config.json: File name too long"),
+        (("result", "a" * 256), f"{'a' * 256}/config.json: File name too long"),
+        (("validate", "--configfile", "a" * 256), f"{'a' * 256}: File name too long"),
+        (("status", "[bold]y"), "[bold]y/config.json: no such file"),
+        (("status", "\x1b[31mred"), r"\x1b[31mred/config.json: no such file"),
     ],
 )
 def test_errors_end_with_a_message(arguments: tuple[str, ...], message: str) -> None:
     done = _run(*arguments)
     assert done.returncode == 1
     assert done.stderr.splitlines()[-1].startswith(f"warmlens: {message}")
+    assert "Traceback" not in done.stderr or arguments[0] == "params"

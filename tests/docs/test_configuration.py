@@ -100,9 +100,9 @@ def test_every_choice_is_explained() -> None:
     [
         ("campaign.seed", "integer >= 0"),
         ("halos.preset", "`paper` \\| `calibrated` \\| `custom`"),
-        ("observation.fits.BAND.exposure_s", "number > 0 or `null`"),
+        ("observation.fits.BAND.exposure_s", "number > 0 or `null`, usually 5 to 1e+07"),
         ("smooth_model.fit.tolerance", "number > 0 and < 1"),
-        ("scan.window_arcsec", "[number > 0, number > 0] or `null`"),
+        ("scan.window_arcsec", "[number > 0, number > 0] or `null`, usually 0.2 to 200"),
         ("scan.shard_size", "integer >= 1 and <= 9999999"),
     ],
 )

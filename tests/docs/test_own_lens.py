@@ -88,12 +88,12 @@ def test_campaign_reaches_a_bound(lens: Lens) -> None:
     assert numbers["n_samples"] == 8
     assert numbers["n_failed"] == 0
     assert 1.0 < numbers["bounds"]["q0455"]["value_kev"] < 5.0
-    assert numbers["quotable"] is False  # of 8 samples, and it says so
+    assert numbers["verdict"] == "not usable"  # of 8 samples, and it says so
 
 
 def test_fit_finds_the_lens(lens: Lens) -> None:
     with open_artifact(lens.results / "smooth_model.h5", "smooth_model") as artifact:
-        assert artifact.metadata["warnings"] == []
+        assert artifact.metadata["problems"] == artifact.metadata["notes"] == []
         assert artifact.metadata["fits"]["F140W"]["chi2_red"] == pytest.approx(1.0, abs=0.06)  # 3 of its sigma
     fitted = {name: values for name, values in parameters(lens).items() if not name.startswith("source")}
     pull = {name: (value - truth(name)) / error for name, (value, error) in fitted.items()}

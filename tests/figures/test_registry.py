@@ -6,6 +6,8 @@ import shutil
 from collections.abc import Callable
 from pathlib import Path
 
+import matplotlib as mpl
+import matplotlib.pyplot as plt
 import pandas as pd
 import pytest
 from matplotlib.figure import Figure
@@ -21,6 +23,13 @@ from warmlens.figures import CAPTIONS, registry
 from warmlens.figures.inputs import find_inputs
 from warmlens.figures.recipe import Recipe
 
+from ..reliability import Outcome, fault
+
+OF_A_USER = {
+    **{"text.usetex": True, "axes.facecolor": "red", "savefig.bbox": "tight", "savefig.facecolor": "blue"},
+    **{"axes.spines.top": False, "legend.loc": "lower left", "image.aspect": "auto", "lines.marker": "o"},
+    **{"font.size": 30.0, "figure.dpi": 30.0, "savefig.dpi": 40.0, "axes.grid": True, "path.sketch": (1, 9, 2)},
+}
 PAPER = {str(number) for number in range(1, 9)}
 
 
@@ -95,6 +104,25 @@ def test_a_figure_that_fails_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="cannot"):
         Recipe(_read, fail, pd.DataFrame).write([1.0], tmp_path / "a.png")
     assert not list(tmp_path.iterdir())
+
+
+def _draw(data: pd.DataFrame) -> Figure:
+    figure, axes = plt.subplots()
+    axes.plot(data["a"], label="keV")
+    axes.imshow([[0.0, 1.0], [2.0, 3.0]])
+    axes.legend()
+    return figure
+
+
+@fault("Machine", "a matplotlibrc of the user", "fonts, colours, sizes, resolution, LaTeX", quick=True)
+def test_a_matplotlibrc_changes_no_picture(tmp_path: Path, outcome: Outcome) -> None:
+    Recipe(_read, _draw, pd.DataFrame).write([1.0, 2.0], tmp_path / "a.png")
+    with mpl.rc_context():
+        mpl.rcParams.update(OF_A_USER)
+        Recipe(_read, _draw, pd.DataFrame).write([1.0, 2.0], tmp_path / "b.png")
+        assert {key: mpl.rcParams[key] for key in OF_A_USER} == OF_A_USER, "given back"
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    outcome.goes_on("the same pictures, byte for byte", "nothing")
 
 
 def test_picture_and_data_lie_beside_each_other(tmp_path: Path) -> None:

@@ -156,7 +156,7 @@ def test_correlated_noise_of_the_image_is_warned_of(known: bool, tmp_path: Path)
     )
     with open_artifact(run({**smooth_block(), "mode": "given"}, tmp_path), "smooth_model") as artifact:
         row, column, across = neighbours(artifact.array("F814W/residual_correlation"))
-        warnings = artifact.metadata["warnings"]
+        warnings = artifact.metadata["problems"] + artifact.metadata["notes"]
     assert (row, column, across) == pytest.approx((0.2, 0.3, 0.1), abs=0.06)  # the fit takes a little of it
     expected = (
         f"F814W: neighbouring pixels' residuals correlate by {row:.2f} along rows and {column:.2f} along columns"
@@ -198,7 +198,7 @@ def test_fit_finds_the_lens(fitted: Path) -> None:
         assert abs(value[i] - expected) < 4.0 * error[i], name
     assert abs(1.05 - value[0]) > 10.0 * error[0]
     np.testing.assert_allclose(np.sqrt(np.diag(matrix)), error)
-    assert meta["converged"] and meta["warnings"] == []
+    assert meta["converged"] and meta["problems"] == meta["notes"] == []
     assert [step["name"] for step in meta["history"]] == ["n_max 3", "n_max 6", "last fit"]
     assert meta["history"][0]["n_max"] == 3 and meta["history"][-1]["n_max"] == 6
     steps = meta["history"]
@@ -264,7 +264,10 @@ def test_given_lens_is_used_as_it_is(folder: Path) -> None:
     assert 0.9 < model.fits["F814W"].chi2_red < 1.1
     np.testing.assert_array_equal(model.quasars, QUASARS)
     with open_artifact(path, "smooth_model") as artifact:
-        assert artifact.metadata["history"] == [] and artifact.metadata["warnings"] == []
+        assert (
+            artifact.metadata["history"] == []
+            and artifact.metadata["problems"] == artifact.metadata["notes"] == []
+        )
         assert "parameters" not in artifact.file
     wrong = off(smooth_block() | {"mode": "given", "fit": None})
     with pytest.raises(ValueError, match=r"F814W: chi2_red = .* lies above 1\.1"):
@@ -280,7 +283,7 @@ def test_fit_that_does_not_converge_is_refused(folder: Path) -> None:
     assert not (folder / "poor.h5").exists()
     path = run(block | {"allow_poor_fit": True}, folder, "poor.h5")
     with open_artifact(path, "smooth_model") as artifact:
-        warnings = artifact.metadata["warnings"]
+        warnings = artifact.metadata["problems"] + artifact.metadata["notes"]
         assert not artifact.metadata["converged"]
     assert len(warnings) == 2
     assert "did not converge" in warnings[0] and "lies above 1.1" in warnings[1]
@@ -333,12 +336,12 @@ def test_bright_arcs_that_are_fitted_worse_than_faint_ones_are_reported(
     assert after.bright - before.bright == pytest.approx(np.mean((wrong / fit.sigma)[bright] ** 2), rel=0.3)
     monkeypatch.setattr(judgement, "chi2_of_arcs", lambda *_: after)
     with open_artifact(run(given, folder, "worse.h5"), "smooth_model") as artifact:
-        (warning,) = artifact.metadata["warnings"]
+        (warning,) = artifact.metadata["problems"] + artifact.metadata["notes"]
     assert f"chi2 a pixel is {after.bright:.2f} where the arcs exceed 10 sigma" in warning
     few = after._replace(n_bright=10)  # their chi2 may scatter as much
     monkeypatch.setattr(judgement, "chi2_of_arcs", lambda *_: few)
     with open_artifact(run(given, folder, "few.h5"), "smooth_model") as artifact:
-        assert artifact.metadata["warnings"] == []
+        assert artifact.metadata["problems"] == artifact.metadata["notes"] == []
 
 
 def test_a_source_that_rays_do_not_resolve_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,7 +349,7 @@ def test_a_source_that_rays_do_not_resolve_is_reported(folder: Path, monkeypatch
     block = smooth_block() | {"mode": "given", "fit": None}
     monkeypatch.setattr(judgement, "unresolved_pixels", lambda *_: np.array([4.0, 8.0]))
     with open_artifact(run(block, folder, "unresolved.h5"), "smooth_model") as artifact:
-        (warning,) = artifact.metadata["warnings"]
+        (warning,) = artifact.metadata["problems"] + artifact.metadata["notes"]
     assert "1 mas changes 2 pixels by more than their arc's light, by up to 8 sigma" in warning
     monkeypatch.setattr(judgement, "unresolved_pixels", lambda *_: np.array([4.0, 80.0]))
     with pytest.raises(ValueError, match=r"up to 80 sigma.*smooth_model\.source\.clumps"):
@@ -356,9 +359,29 @@ def test_a_source_that_rays_do_not_resolve_is_reported(folder: Path, monkeypatch
 def test_chi2_below_the_range_is_a_warning(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     block = smooth_block() | {"mode": "given", "chi2_red_range": [1.5, 2.0]}
     with open_artifact(run(block, folder, "low.h5"), "smooth_model") as artifact:
-        (warning,) = artifact.metadata["warnings"]
+        (warning,) = artifact.metadata["problems"] + artifact.metadata["notes"]
     assert "F814W: chi2_red =" in warning and "lies below 1.5" in warning
     assert warning in caplog.text
+
+
+@pytest.mark.parametrize(("factor", "refused"), [(1.1, False), (1.5, True), (30.0, True)])
+def test_chi2_far_below_the_range_is_refused(
+    factor: float, refused: bool, observed: Observation, tmp_path: Path
+) -> None:
+    """With a noise map that is too large; how far below is refused goes with the range."""
+    (band,) = observed.bands
+    noise = NoiseModel(None, None)
+    larger = replace(observed, bands=(replace(band, sigma=factor * band.sigma, noise=noise),))
+    provenance = Provenance("observation", {"test": 1})
+    write_artifact(tmp_path / "observation.h5", provenance, *observation_datasets(larger))
+    block = smooth_block() | {"mode": "given"}
+    if refused:
+        with pytest.raises(ValueError, match=r"lies far below 0\.9.*scatter of the sky \(warmlens validate\)"):
+            run(block, tmp_path)
+        block |= {"chi2_red_range": [0.6, 1.1]} if factor < 2.0 else {"allow_poor_fit": True}
+    with open_artifact(run(block, tmp_path), "smooth_model") as artifact:
+        (warning,) = artifact.metadata["warnings"]
+    assert "below 0." in warning
 
 
 @pytest.mark.parametrize("mode", ["given", "fit"])

@@ -1,11 +1,14 @@
 """PSF: convolution against a direct sum, adjoint, point sources, the HST-like model."""
 
+import os
+
 import numpy as np
 import pytest
+from astropy.io import fits
 from scipy import signal
 
 from warmlens.imaging.grid import PixelGrid
-from warmlens.imaging.psf import Convolution, fwhm, hst_like_psf, point_source, validate_psf
+from warmlens.imaging.psf import Convolution, core_offset, fwhm, hst_like_psf, point_source, validate_psf
 
 
 @pytest.fixture
@@ -153,3 +156,23 @@ def test_point_source_on_a_rotated_grid():
     image = point_source(psf, grid, float(x), float(y))
     assert image[12, 8] == pytest.approx(0.7, abs=1e-6)
     assert image[12, 9] == pytest.approx(0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, -0.2), (-0.5, 0.5), (1.0, 0.0)])
+def test_the_core_is_located_whatever_the_wings(shift: tuple[float, float]) -> None:
+    """To 0.06 pixels, with a one-sided wing of a tenth of the light."""
+    rows, columns = np.mgrid[-12:13, -12:13].astype(float)
+    wing = np.exp(-0.5 * ((columns - 7.0) ** 2 + (rows - 5.0) ** 2) / 2.0**2)
+    for width in (0.9, 2.0):
+        core = np.exp(-0.5 * ((columns - shift[0]) ** 2 + (rows - shift[1]) ** 2) / width**2)
+        psf = core / core.sum() + 0.1 * wing / wing.sum()
+        assert core_offset(psf) == pytest.approx(shift, abs=0.06)
+
+
+@pytest.mark.skipif("WARMLENS_HST_DATA" not in os.environ, reason="WARMLENS_HST_DATA is not set: no real image")
+def test_the_core_of_a_real_psf_is_in_the_middle() -> None:
+    """Though all of its light has a centroid 0.84 pixels off."""
+    psf = fits.getdata(f"{os.environ['WARMLENS_HST_DATA']}/psf.fits").astype(float)
+    assert np.hypot(*core_offset(psf)) < 0.05
+    columns = np.arange(psf.shape[1]) - psf.shape[1] // 2
+    assert abs((psf * columns).sum() / psf.sum()) > 0.5

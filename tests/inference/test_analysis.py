@@ -46,7 +46,7 @@ def test_an_adjustment_is_not_valid_on_too_few_rows():
     analysis = run(table(), n_rows=MIN_ROWS - 1)
     assert analysis.adjusted_calibration is not None
     assert not analysis.adjusted.valid
-    assert f"calibrated on {MIN_ROWS - 1} rows only" in " ".join(analysis.warnings)
+    assert analysis.calibration.passed is None
 
 
 def test_a_miscalibrated_posterior_says_so():
@@ -58,7 +58,8 @@ def test_a_miscalibrated_posterior_says_so():
         observed=(np.array([1.5]), samples.observed[1]),
     )
     analysis = run(folded, fraction=0.3)
-    assert not analysis.calibration.passed
+    assert not analysis.calibration.exact
+    assert analysis.calibration.passed, "a bound that is too weak is no false one"
     text = " ".join(analysis.warnings)
     assert "the truth lies above it too often" in text
     assert "ranks of m_th_kev are not uniform" in text

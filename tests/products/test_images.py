@@ -203,6 +203,40 @@ def test_bands_must_share_their_pixels(tmp_path: Path) -> None:
     assert len(read_fits({"A": blocks["A"], "B": blocks["A"]}).bands) == 2
 
 
+@pytest.mark.parametrize(
+    ("key", "value", "reason"),
+    [
+        ("sigma", 1e8, None),
+        ("sigma", np.inf, None),
+        ("sigma", 1e4 * 0.25, None),
+        ("weight", 1e-20, None),
+        ("weight", np.nan, None),
+        ("sigma", 0.0, "noise of 100 unmasked pixels is not positive"),
+        ("sigma", np.nan, "noise of 100 unmasked pixels is not positive"),
+        ("weight", np.inf, "noise of 100 unmasked pixels is not positive"),
+        ("sigma", 20.0 * 0.25, r"noise of 96 used pixels .* is more than 10 times that of the quiet ones \(0\.25"),
+        ("sigma", 1e-4, "noise of 100 used pixels .* is less than a thirtieth of that of the quiet ones"),
+    ],
+)
+def test_pixels_that_a_noise_map_ignores(tmp_path: Path, key: str, value: float, reason: str | None) -> None:
+    """They are masked; what may be either is refused."""
+    block = _write(tmp_path, np.arange(9600.0).reshape(80, 120) / 2000)
+    values = np.full((80, 120), 0.25 if key == "sigma" else 16.0)
+    values[:1, :100] = value
+    fits.PrimaryHDU(values).writeto(tmp_path / "map.fits")
+    block = block.model_copy(update={key: str(tmp_path / "map.fits")})
+    if value == 20.0 * 0.25:  # 1% may be edges of a mosaic, 6% are refused
+        read_band("F814W", block)
+        values[:5] = value
+        fits.PrimaryHDU(values).writeto(tmp_path / "map.fits", overwrite=True)
+        reason = r"noise of 600 used pixels \(6\.2%\) is more than 10 times that of the quiet ones \(0\.25"
+    if reason is None:
+        assert np.count_nonzero(~read_band("F814W", block)[1].mask) == 100
+    else:
+        with pytest.raises(ValueError, match=reason):
+            read_band("F814W", block)
+
+
 @pytest.mark.skipif("WARMLENS_HST_DATA" not in os.environ, reason="WARMLENS_HST_DATA is not set: no real image")
 def test_real_image() -> None:
     folder = os.environ["WARMLENS_HST_DATA"]

@@ -38,6 +38,7 @@ def _header(stage: str, commit: str, dirty: bool) -> Header:
         package_version="0.1.0",
         git_commit=commit,
         git_dirty=dirty,
+        code_sha256="",
         created_utc="2026-01-01T00:00:00+00:00",
         wall_seconds=1.0,
     )

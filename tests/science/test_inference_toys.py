@@ -249,8 +249,8 @@ def posterior_density(s: float) -> np.ndarray:
 
 def test_an_observation_outside_the_samples_gives_a_warning() -> None:
     table = toy(2000, 10)
-    assert cloud_check(table).warnings == ()
+    assert cloud_check(table).outside == ()
     outside = dataclasses.replace(table, observed=(np.array([12.0]), table.observed[1]))
     check = cloud_check(outside)
     assert check.percentile["correlation"] > 99.0
-    assert "THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in correlation" in check.warnings[0]
+    assert "THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in correlation" in check.outside[0]

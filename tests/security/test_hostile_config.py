@@ -197,9 +197,8 @@ def test_results_folders(paper: dict[str, Any], value: str) -> None:
 
 
 def test_plans_that_are_too_long_are_refused_at_once(paper: dict[str, Any]) -> None:
-    config = parse_config(
-        _changed(_changed(paper, "scan.window_arcsec", [400.0, 400.0]), "scan.step_arcsec", 0.01)
-    )
+    large = _changed(_changed(paper, "scan.window_arcsec", [400.0, 400.0]), "scan.step_arcsec", 0.01)
+    config = parse_config({**large, "unusual": ["scan.window_arcsec"]})
     with pytest.raises(ConfigError, match="1600000000 positions in shards of"):
         shards(config)
     assert len(chunks(parse_config(paper))) < 100

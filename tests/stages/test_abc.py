@@ -2,12 +2,14 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from warmlens.artifacts import file
 from warmlens.artifacts.file import (
     ArtifactError,
     Dataset,
@@ -17,12 +19,18 @@ from warmlens.artifacts.file import (
 )
 from warmlens.config.digest import settings_digest
 from warmlens.config.model import AbcBlock, DarkMatterBlock
+from warmlens.imaging.grid import PixelGrid
+from warmlens.imaging.noise import NoiseModel
+from warmlens.imaging.observation import Observation, checked_band
+from warmlens.products.observation import observation_datasets
 from warmlens.products.samples import FAILED_HERE, SampleTable
+from warmlens.report import combination
 from warmlens.report.combination import combine_results
 from warmlens.report.result import companions, others
 from warmlens.sampling import draw_parameters
 from warmlens.stage_table import AbcSettings
 
+from ..reliability import NOTHING, Outcome, fault
 from ..shared import run_stage
 
 N, CHUNK = 60, 20
@@ -94,7 +102,7 @@ def _campaign(
         table.status[np.isnan(null)] = FAILED_HERE
         mocks = {**table.datasets(), **_summary(np.array(null), correlation)}
         write_artifact(folder / "null.h5", Provenance("null_summaries", settings), mocks, {})
-    smooth = {"warnings": ["F814W: chi2_red = 3"]}
+    smooth = {"problems": [], "notes": ["F814W: chi2_red = 0.7"]}
     write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, smooth)
     return {
         "summaries": chunks,
@@ -138,7 +146,7 @@ def test_the_nearest_samples_are_accepted(tmp_path: Path) -> None:
     np.testing.assert_array_equal(table["accepted"], accepted)
     np.testing.assert_allclose(table["distance_correlation"], distance)
     np.testing.assert_allclose(table["cut_correlation"], distance)
-    assert "F814W: chi2_red = 3" in meta["warnings"]
+    assert "F814W: chi2_red = 0.7" in meta["warnings"]
     assert "2 of 60 samples failed and are left out" in meta["warnings"]
 
 
@@ -182,7 +190,7 @@ def test_every_number_is_in_the_json_too(tmp_path: Path) -> None:
         moved = artifact.array("table/adjusted_m_th_kev")
         np.testing.assert_array_equal(np.isfinite(moved), accepted)
         assert artifact.array("likelihood/ratio")[-1] == 1.0
-    assert found["warnings"][-1] == "F814W: chi2_red = 3"
+    assert "F814W: chi2_red = 0.7" in found["warnings"]
     assert found["n_accepted"] == 160
     assert set(found["bounds"]) == {"q05", "q0455", "q02275"}
     assert {*found["other_rules"]} == {"marginal_and", "scaled_sum", "correlation", "cumulative"}
@@ -199,7 +207,7 @@ def test_every_number_is_in_the_json_too(tmp_path: Path) -> None:
         "nat over the prior",
     ):
         assert word in text
-    assert found["quotable"]
+    assert (found["verdict"], found["quotable"]) == ("measured", True)
     assert list(found["summary_sets"]) == ["paper", "correlation", "cumulative", "sharper", "learned", "learned_m"]
     assert found["summary_sets"]["sharper"]["kinds"] == ["counts"]  # there is no linear response
     assert found["null_test"] is None
@@ -223,7 +231,8 @@ def test_whitened_distances_are_another_column(tmp_path: Path) -> None:
 
 
 def _warnings(tmp_path: Path) -> str:
-    return "\n".join(json.loads((tmp_path / "abc.json").read_text())["warnings"])
+    found = json.loads((tmp_path / "abc.json").read_text())
+    return "\n".join(found["reasons"] + found["warnings"])
 
 
 def test_a_small_table_is_not_a_normal_bound(tmp_path: Path) -> None:
@@ -236,13 +245,13 @@ def test_a_small_table_is_not_a_normal_bound(tmp_path: Path) -> None:
     assert not found["regression_adjustment"]["valid"]
     assert "needs 100 accepted samples, there are 12" in found["regression_adjustment"]["reason"]
     assert found["threshold_convergence"]["raw"] == "too few samples to tell"
-    assert not found["quotable"]
+    assert (found["verdict"], found["quotable"]) == ("not usable", False)
 
 
 def test_an_observation_outside_the_cloud_is_not_a_normal_bound(tmp_path: Path) -> None:
     run_stage("abc", _settings(n_samples=300), **_campaign(tmp_path, n=300, observed=11.0))
     assert "THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in correlation" in _warnings(tmp_path)
-    assert not json.loads((tmp_path / "abc.json").read_text())["quotable"]
+    assert json.loads((tmp_path / "abc.json").read_text())["verdict"] == "not usable"
 
 
 def test_a_correlation_function_that_is_zero_everywhere_is_not_a_normal_bound(tmp_path: Path) -> None:
@@ -294,13 +303,14 @@ def test_the_null_test_stands_beside_the_bound(tmp_path: Path) -> None:
     assert (test["n_mocks"], test["n_failed"]) == (45, 1)
     assert 1.0 <= test["bound_kev"]["low"] <= test["bound_kev"]["median"] <= test["bound_kev"]["high"] < 1.5
     assert test["fraction_reaching_bound"] == 0.0
-    assert test["prior_only_kev"] == pytest.approx(1.182)
+    assert test["prior_only_kev"] == pytest.approx(1.182, abs=0.1)
+    assert test["prior_only_kev"] == found["bounds"]["q0455"]["prior_only_kev"]
     assert test["expected_limit_kev"] == found["expected_limit"]["quantiles_kev"][2]
     place = test["observation_among_mocks"]["correlation_at_0"]
     assert (place["observed"], place["rank"], place["n"]) == (4.5, 1.0, 45)
     assert place["p_value"] == pytest.approx(2 / 46)
     assert test["distance_p"]["correlation"] == pytest.approx(1 / 46)
-    assert "null test: 1 mocks without substructure failed and are left out" in found["warnings"]
+    assert "null test: 1 of 46 mocks without substructure failed and are left out" in found["warnings"]
     assert "give a bound as high" not in _warnings(tmp_path)
     with open_artifact(tmp_path / "abc.h5", "abc") as artifact:
         assert "null_summaries" in artifact.inputs
@@ -309,7 +319,8 @@ def test_the_null_test_stands_beside_the_bound(tmp_path: Path) -> None:
         np.testing.assert_array_equal(artifact.array("null/correlation_at_0"), null[:45])
         assert artifact.array("null/cumulative/quantiles").shape == (5, 5)
     text = "\n".join(companions(found))
-    assert "from 45 mocks without substructure; the prior alone 1.18 keV, cold dark matter" in text
+    alone = f"the prior alone {test['prior_only_kev']:.2f} keV"
+    assert f"from 45 mocks without substructure; {alone}, cold dark matter" in text
     assert "100% in correlation_at_0 (p = 0.043)" in text
 
 
@@ -329,7 +340,7 @@ def test_a_null_test_of_other_settings_is_refused(tmp_path: Path) -> None:
 
 def test_a_null_test_of_which_nothing_is_left_is_said(tmp_path: Path) -> None:
     run_stage("abc", _settings(), **_campaign(tmp_path, null=(np.nan, np.nan)))
-    assert "null test: all 2 mocks without substructure failed" in _warnings(tmp_path)
+    assert "null test: 2 of 2 mocks without substructure failed" in _warnings(tmp_path)
     assert json.loads((tmp_path / "abc.json").read_text())["null_test"] is None
 
 
@@ -399,21 +410,109 @@ def test_too_few_marginal_cuts_are_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "abc.json").exists()
 
 
-def test_lenses_are_combined_by_their_likelihood_ratios(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    unchecked = "warmlens.report.combination.open_answer"  # tests/workflow/test_answers.py is about the chain
-    monkeypatch.setattr(unchecked, lambda folder: open_artifact(folder / "abc.h5", "abc"))
-    folders = []
-    for name, observed in (("one", 4.5), ("two", 4.7)):
-        folder = tmp_path / name
-        folder.mkdir()
-        run_stage("abc", _settings(n_samples=400), **_campaign(folder, n=400, noise=0.8, observed=observed))
-        folders.append(folder)
-    found = combine_results(folders, tmp_path / "both.json")
+def _observe(folder: Path, bands: dict[str, np.ndarray], mask: np.ndarray, settings: dict[str, object]) -> None:
+    """Write an observation of some images [ny, nx]."""
+    grid = PixelGrid.centred(mask.shape, 0.05)
+    psf = np.zeros((3, 3))
+    psf[1, 1] = 1.0
+    made = tuple(
+        checked_band(name, grid, image, np.ones(grid.shape), mask, psf, NoiseModel(1.0, 100.0))
+        for name, image in bands.items()
+    )
+    provenance = Provenance("observation", {"observation": {"kind": "fits", **settings}})
+    write_artifact(folder / "observation.h5", provenance, *observation_datasets(Observation("fits", grid, made)))
+
+
+@pytest.fixture(scope="module")
+def lenses(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Finished inferences on two lenses."""
+    folders = [tmp_path_factory.mktemp(name) for name in ("one", "two")]
+    for folder, observed in zip(folders, (4.5, 4.7), strict=True):
+        settings = _settings(n_samples=400, abc=_block(leave_one_out=300))
+        run_stage("abc", settings, **_campaign(folder, n=400, noise=0.8, observed=observed))
+    return folders
+
+
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Answers without a campaign: tests/workflow/test_answers.py is about their chain."""
+    monkeypatch.setattr(combination, "open_answer", lambda folder: open_artifact(folder / "abc.h5", "abc"))
+
+
+IMAGES = np.random.default_rng(8).normal(1.0, 0.3, (3, 20, 20))
+EVERYWHERE = np.ones((20, 20), dtype=bool)
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_lenses_are_combined_by_their_likelihood_ratios(
+    unchecked: None, lenses: list[Path], tmp_path: Path
+) -> None:
+    for folder, image in zip(lenses, IMAGES, strict=False):
+        _observe(folder, {"F814W": image}, EVERYWHERE, {})
+    found = combine_results(lenses, tmp_path / "both.json")
     assert json.loads((tmp_path / "both.json").read_text()) == found
-    single = [json.loads((folder / "abc.json").read_text())["bounds"]["q0455"]["value_kev"] for folder in folders]
-    assert found["bounds"]["q0455"]["value_kev"] > max(single) - 0.1
-    assert any(text.startswith(f"{folders[1]}: F814W: chi2_red = 3") for text in found["warnings"])
-    with pytest.raises(ArtifactError, match="are of the same observation, which would count twice"):
-        combine_results([folders[0], folders[0]], None)
+    single = [json.loads((folder / "abc.json").read_text()) for folder in lenses]
+    assert found["lenses"] == {str(folder): one["verdict"] for folder, one in zip(lenses, single, strict=True)}
+    assert found["verdict"] == "measured"
+    assert found["bounds"]["q0455"]["value_kev"] > max(one["bounds"]["q0455"]["value_kev"] for one in single) - 0.1
+    assert any(text.startswith(f"{lenses[1]}: F814W: chi2_red = 0.7") for text in found["warnings"])
     with pytest.raises(ArtifactError, match="at least two campaigns"):
-        combine_results(folders[:1], None)
+        combine_results(lenses[:1], None)
+
+
+@pytest.mark.usefixtures("unchecked")
+@fault("Answers", "one image is combined with itself", "other summaries, mask, cutout, bands or noise", quick=True)
+@pytest.mark.parametrize("other", ["summaries", "mask", "cutout", "band", "truth", "counts"])
+def test_one_observation_counts_once(lenses: list[Path], outcome: Outcome, other: str) -> None:
+    first, second = {"F814W": IMAGES[0], "F555W": IMAGES[1]}, {"F814W": IMAGES[0], "F555W": IMAGES[1]}
+    mask, settings = EVERYWHERE, [{}, {}]
+    if other == "mask":
+        mask = np.add.outer(np.arange(20), np.arange(20)) > 12
+    elif other == "cutout":
+        second, mask = {"I": IMAGES[0][3:-3, 2:-4]}, np.ones((14, 14), dtype=bool)
+    elif other == "band":
+        second = {"F555W": IMAGES[1], "F160W": IMAGES[2]}
+    elif other == "truth":  # another exposure of the same simulated lens
+        second = {"F160W": IMAGES[2]}
+        settings = [{"simulated": {"truth": 1, "bands": name}} for name in first]
+    elif other == "counts":
+        first = second = {"F814W": np.round(IMAGES[0])}
+    _observe(lenses[0], first, EVERYWHERE, settings[0])
+    _observe(lenses[1], second, mask, settings[1])
+    with pytest.raises(ArtifactError) as refused:
+        combine_results(lenses, None)
+    outcome.stops(str(refused.value), "are of the same observation", str(lenses[0]), str(lenses[1]))
+
+
+@pytest.mark.usefixtures("unchecked")
+def test_images_of_whole_counts_of_two_lenses_are_two_lenses(lenses: list[Path]) -> None:
+    for folder, image in zip(lenses, IMAGES, strict=False):
+        _observe(folder, {"F814W": np.round(5.0 * image)}, EVERYWHERE, {})
+    assert combine_results(lenses, None)["lenses"].keys() == {str(folder) for folder in lenses}
+
+
+@fault("Origin", "samples are made by two versions of the code", "a summary edited before `extend`", quick=True)
+def test_a_mixed_table_is_not_usable(tmp_path: Path, outcome: Outcome, monkeypatch: pytest.MonkeyPatch) -> None:
+    settings = _settings(n_samples=400, abc=_block(leave_one_out=300))
+    campaign = _campaign(tmp_path, n=400, noise=0.8)
+    monkeypatch.setattr(file, "sample_code_digest", lambda: "edited")
+    later = _campaign(tmp_path / "later", n=400, noise=0.8)
+    shutil.move(later["summaries"][-1], campaign["summaries"][-1])
+    run_stage("abc", settings, **campaign)
+    found = json.loads((tmp_path / "abc.json").read_text())
+    assert found["verdict"] == "not usable"
+    assert "summaries were made by 2 versions of the code" in found["reasons"][0]
+    outcome.goes_on("the verdict is “not usable”, and says why", NOTHING)
+
+
+@fault("Samples", "samples fail because of their parameters", "all with a relic below 1.1 keV", quick=True)
+def test_failures_that_cluster_are_not_usable(tmp_path: Path, outcome: Outcome) -> None:
+    m = draw_parameters(1, (0, 400), *PRIOR.model_dump().values()).m_th_kev
+    settings = _settings(n_samples=400, abc=_block(leave_one_out=300))
+    light = tuple(int(row) for row in np.flatnonzero(m < 1.1))
+    run_stage("abc", settings, **_campaign(tmp_path, n=400, noise=0.8, failed=light))
+    found = json.loads((tmp_path / "abc.json").read_text())
+    assert found["verdict"] == "not usable"
+    assert f"the {len(light)} of 400 samples that failed cluster: their m_th_kev is 1" in found["reasons"][0]
+    assert found["bounds"]["q0455"]["prior_only_kev"] >= np.sort(m[m >= 1.1])[int(0.045 * (m >= 1.1).sum())]
+    outcome.goes_on("the verdict is “not usable”, and says why", NOTHING)

@@ -59,7 +59,8 @@ def _campaign(folder: Path, failed: tuple[int, ...] = ()) -> dict[str, Any]:
             chunks[-1], Provenance("summaries", SUMMARIES), {**table.datasets(), **_summary(signal)}, {}
         )
     write_artifact(folder / "observed.h5", Provenance("observed_summary", SUMMARIES), _summary(np.array(13.5)), {})
-    write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, {"warnings": ["F814W: chi2_red = 3"]})
+    judgement = {"problems": [], "notes": ["note of the fit"]}
+    write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, judgement)
     return {
         "summaries": chunks,
         "observed_summary": folder / "observed.h5",
@@ -95,7 +96,7 @@ def test_light_halos_are_excluded(tmp_path: Path) -> None:
     assert meta["excluded_up_to_log10_m_halo_msun"] == 12.5
     assert meta["statement"].startswith("halo masses up to 10^12.5 Msun are excluded at 96.")
     assert np.isnan(distance[3])
-    assert {"1 of 200 samples failed and are left out", "F814W: chi2_red = 3"} <= set(meta["warnings"])
+    assert {"1 of 200 samples failed and are left out", "note of the fit"} <= set(meta["warnings"])
     lines = "\n".join(exclusion_lines(meta))
     assert "10^12 Msun: 0 of 50 accepted, posterior 0.0% [0.0%, 3.6%], the prior alone 25.0%" in lines
     nodes = pd.read_csv(tmp_path / "exclusion.csv")

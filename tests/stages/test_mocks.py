@@ -24,6 +24,7 @@ from warmlens.stage_table import stage_settings
 from warmlens.stages import deflections
 from warmlens.stages.mocks import noise_free_image
 
+from ..reliability import Outcome, fault
 from ..shared import run_stage
 
 ROOT = Path(__file__).parents[2]
@@ -263,3 +264,31 @@ def test_solved_positions_need_quasars(config: Config, folder: Path) -> None:
     with pytest.raises(ArtifactError, match="needs quasar images"):
         inputs = {"deflections": folder / "deflections.h5", "observation": observed, "smooth_model": lensed}
         run_stage("mocks", stage_settings(without, "mocks"), folder / "never.h5", **inputs)
+
+
+@fault("Samples", "hosts below the resolution", "a prior of hosts below twice the Jeans mass", quick=True)
+def test_hosts_too_light_for_subhalos_are_samples_like_others(
+    config: Config, folder: Path, tmp_path: Path, outcome: Outcome
+) -> None:
+    """No subhalos: the deflection is exactly 0, the mock that of the smooth lens, and nothing has failed."""
+    raw = config.model_dump()
+    raw["dark_matter"] = {"m_th_kev": (0.05, 0.06), "log10_m_halo_msun": (10.0, 10.3)}
+    light = parse_config(raw)
+    run_stage("halos", stage_settings(light, "halos"), tmp_path / "halos.h5", (0, 2))
+    with open_artifact(tmp_path / "halos.h5", "halos") as artifact:
+        assert artifact.array("samples/status").tolist() == [OK, OK]
+        assert artifact.array("subhalos/offsets").tolist() == [0, 0, 0]
+        assert artifact.array("halo/f_sub").tolist() == [0.0, 0.0]
+    (tmp_path / "observation.h5").symlink_to(folder / "observation.h5")
+    (tmp_path / "smooth_model.h5").symlink_to(folder / "smooth_model.h5")
+    for kind in ("gaussian", "starlet", "median_wavelet"):
+        assert not _deflect(_with(light, "deflections", filter=kind), tmp_path, f"{kind}.h5").any()
+    hosts = _deflect(_with(light, "deflections", smooth_host=True), tmp_path, "hosts.h5")
+    assert np.isfinite(hosts).all()
+    assert np.abs(hosts).max() > 1e-6
+    for quasars in ("observed", "solved"):
+        _mock(_with(light, "mocks", quasar_positions=quasars), tmp_path, "gaussian.h5", f"{quasars}.h5")
+        with open_artifact(tmp_path / f"{quasars}.h5", "mocks") as artifact:
+            assert artifact.array("samples/status").tolist() == [OK, OK]
+            assert np.isfinite(artifact.array(f"{config.observation.bands[0]}/image")).all()
+    outcome.goes_on("they are smooth halos, without subhalos", "nothing")

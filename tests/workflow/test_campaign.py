@@ -223,39 +223,47 @@ def test_invalid_configuration_stops_before_any_job(project: Project) -> None:
     assert not project.results.exists()
 
 
-@fault("Samples", "samples raise an error", "halos below the resolution, in a whole campaign", quick=True)
+@fault(
+    "Samples",
+    "samples raise an error",
+    "relics lighter than 1 eV, which no tree is drawn for, in a whole campaign",
+    quick=True,
+)
 def test_failed_samples_are_carried_to_the_table_and_left_out(
     copy_of: Callable[[], Project], outcome: Outcome
 ) -> None:
-    """Halos below twice the resolution of a very warm relic cannot be drawn: those samples fail, others go on."""
+    """The samples of such relics fail; the others go on, all of them without subhalos: no host is heavy enough."""
     project = copy_of()
-    prior = {"m_th_kev": [0.2, 1.0], "log10_m_halo_msun": [10.0, 10.3]}
-    campaign = {"chunk_size": 14}
-    project.configure({"campaign": campaign, "dark_matter": prior, "abc": {"max_failed_fraction": 0.9}})
+    changed = {
+        "campaign": {"chunk_size": 14},
+        "dark_matter": {"m_th_kev": [0.0005, 0.002], "log10_m_halo_msun": [10.0, 10.3]},
+        "unusual": ["dark_matter.m_th_kev"],
+    }
+    project.configure({**changed, "abc": {"max_failed_fraction": 0.9}})
     project.snakemake(ABC)
     table = pd.read_csv(project.results / "abc.csv")
     failed = table["status"] > 0
-    too_warm = table["m_th_kev"] < 0.4  # twice M_J = 3.2e10 Msun there, more than any host
-    assert too_warm.any()
-    assert failed[too_warm].all()
-    assert not failed.all()
+    assert failed.equals(table["m_th_kev"] < 0.001)
+    assert 0 < failed.sum() < 14
     assert not table.loc[failed, "accepted"].any()
     assert table.loc[failed, "distance_correlation"].isna().all()
     assert (
-        table.loc[failed, "message"].str.contains("halos: ValueError: m_halo_msun must be finite and exceed").all()
+        table.loc[failed, "message"].str.contains("halos: ValueError: m_th_kev must be finite and >= 0.001").all()
     )
+    with open_artifact(project.results / "deflections/chunk-0000000-0000014.h5", "deflections") as artifact:
+        assert not artifact.array("delta_alpha")[~failed].any()
     with open_artifact(project.results / "abc.h5", "abc") as artifact:
         assert artifact.metadata["n_failed"] == failed.sum()
     assert f"{failed.sum()} of 14 samples failed" in project.warmlens("result", "results/tiny").stdout
     assert project.warmlens("report", "results/tiny").returncode == 0
     html = (project.results / "report.html").read_text()
-    assert html.count('<td>halos</td><td class="wide">halos: ValueError: m_halo_msun must be') == failed.sum()
+    assert html.count('<td>halos</td><td class="wide">halos: ValueError: m_th_kev must be') == failed.sum()
     shown = project.warmlens("show", "results/tiny", str(np.flatnonzero(failed)[0]), "--output", "failed.html")
     assert shown.returncode == 0, shown.stderr
     html = (project.folder / "failed.html").read_text()
     assert "This sample failed in the stage halos." in html
     assert "Traceback (most recent call last)" in html
-    project.configure({"campaign": campaign, "dark_matter": prior, "abc": {"max_failed_fraction": 0.1}})
+    project.configure({**changed, "abc": {"max_failed_fraction": 0.1}})
     done = project.snakemake(ABC, check=False)
     assert done.returncode != 0
     outcome.goes_on("the samples fail, the others go on", "those samples, counted as failed")

@@ -28,12 +28,14 @@ from .conftest import Project
 from .damage import (
     READER,
     artifact_of,
+    exchange_arrays,
     flip,
     flip_arrays,
     flip_metadata,
     places,
     restore,
     rewrite,
+    rewrite_arrays,
     run_stage,
     swap,
     truncate,
@@ -90,6 +92,37 @@ def test_flipped_in_an_array(damaged: tuple[str, Path], config: Config, tmp_path
     with pytest.raises(ArtifactError) as error:  # whose arrays the figures and the report read
         check_chains([path], stage_digests(config))
     outcome.stops(str(error.value), words, path.name, "run the campaign")
+
+
+@fault("Artifacts", "arrays are exchanged within an artifact", IN_PROCESS, quick=True)
+def test_exchanged_arrays(damaged: tuple[str, Path], config: Config, tmp_path: Path, outcome: Outcome) -> None:
+    _changed_in_place(damaged, config, tmp_path, outcome, exchange_arrays)
+
+
+@fault("Artifacts", "arrays are written anew in place", IN_PROCESS, quick=True)
+def test_rewritten_arrays(damaged: tuple[str, Path], config: Config, tmp_path: Path, outcome: Outcome) -> None:
+    _changed_in_place(damaged, config, tmp_path, outcome, rewrite_arrays)
+
+
+def _changed_in_place(
+    damaged: tuple[str, Path],
+    config: Config,
+    tmp_path: Path,
+    outcome: Outcome,
+    change: Callable[[Path], None],
+) -> None:
+    """HDF5 sees nothing: its checksums fit what is stored."""
+    stage, path = damaged
+    change(path)
+    if stage != "abc":
+        hashed = READER[stage] == "abc"  # which hashes all that it reads
+        words = "its content does not match its digest" if hashed else "changed since it was written"
+        _refused(config, stage, path, tmp_path, outcome, words)
+        return
+    with open_artifact(path) as artifact, pytest.raises(ArtifactError) as error:  # for the figures and the report
+        for name in artifact.names:
+            artifact.dataset(name)
+    outcome.stops(str(error.value), "changed since it was written", path.name, "run the campaign")
 
 
 @fault("Artifacts", "a bit is flipped in the numbers of the header", IN_PROCESS, quick=True)

@@ -354,3 +354,12 @@ def test_the_limit_of_a_sample_is_a_resource(project: Project) -> None:
         target, "--dry-run", "--printshellcmds", "--set-resources", "halos:sample_seconds=60"
     )
     assert "--sample-seconds 60 >" in " ".join((shown.stdout + shown.stderr).split())
+
+
+@fault("Machine", "Snakemake is sent to another folder", "--directory of a folder without config.yaml", quick=True)
+def test_another_working_folder(project: Project, outcome: Outcome) -> None:
+    elsewhere = project.folder / "elsewhere"
+    done = project.snakemake("--directory", str(elsewhere), "--dry-run", check=False)
+    said = done.stdout + done.stderr
+    assert done.returncode == 1 and "missing" not in said
+    outcome.stops(said, "no config.yaml; start in the folder that holds it", "without --directory")

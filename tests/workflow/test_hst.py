@@ -46,7 +46,10 @@ def test_real_image_to_posterior(project: Project) -> None:
     observed = read_observation(project.results / "observation.h5")
     model = read_smooth_model(project.results / "smooth_model.h5")
     with open_artifact(project.results / "smooth_model.h5", "smooth_model") as artifact:
-        history, warnings = artifact.metadata["history"], artifact.metadata["warnings"]
+        history, warnings = (
+            artifact.metadata["history"],
+            artifact.metadata["problems"] + artifact.metadata["notes"],
+        )
         assert np.all(artifact.array("parameters/error") > 0)
     assert [step["name"] for step in history] == ["n_max 10", "n_max 16", "PSF 1 of 1", "clumps", "last fit"]
     fit = model.fits["F814W"]
@@ -65,4 +68,4 @@ def test_real_image_to_posterior(project: Project) -> None:
     assert delta_r.min() < -20.0  # misfit that a perturber takes up
     with open_artifact(project.results / "abc.h5", "abc") as artifact:
         assert artifact.metadata["n_accepted"] == 4
-        assert any("chi2_red" in line for line in artifact.metadata["warnings"])
+        assert any("chi2_red" in line for line in artifact.metadata["problems"] + artifact.metadata["notes"])

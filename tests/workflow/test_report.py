@@ -52,8 +52,9 @@ def test_report_says_what_the_numbers_say(finished: Project, report: Path) -> No
     numbers = json.loads((finished.results / "abc.json").read_text())
     bound = numbers["bounds"][numbers["headline"]]
     assert f"{bound['value_kev']:.2f} ± {bound['mc_error_kev']:.2f}" in html
-    assert "This bound is not to be quoted." in html, "4 accepted samples"
-    assert html.index("This bound is not to be quoted.") < html.index('class="headline"'), "warnings come first"
+    assert numbers["verdict"] == "not usable", "4 accepted samples"
+    verdict = "Not usable: this bound may be wrong, do not quote it."
+    assert html.index(verdict) < html.index('class="headline"'), "the verdict comes first"
     assert html.count("<figure id=") == len(FIGURES)
     assert "is not there" not in html, "every figure is drawn"
     assert "The chain is whole" in html

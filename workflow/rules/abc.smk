@@ -12,7 +12,7 @@ rule abc:
     benchmark:
         note("benchmarks", "abc")
     resources:
-        mem_mb=2000,
+        mem_mb=answer_memory_mb(CAMPAIGN),
         runtime=30,
     message:
         "abc: accept samples, bound the relic mass"

@@ -33,11 +33,17 @@ from warmlens.config.digest import canonical_json, settings_digest
 from warmlens.config.file import ConfigError, parse_config
 from warmlens.config.yaml import read_yaml
 from warmlens.products.time_limit import SAMPLE_SECONDS
-from warmlens.stage_table import STAGES, campaign_stages, stage_settings
+from warmlens.stage_table import STAGES, answer_memory_mb, campaign_stages, stage_settings
 
 # Jobs run the `warmlens` that belongs to this Snakemake, one thread each.
 os.environ["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
 runtime.prepare()
+
+if not Path("config.yaml").is_file():
+    raise WorkflowError(
+        f"{Path.cwd()}: no config.yaml; start in the folder that holds it, without --directory: "
+        "the key `results` says where results go"
+    )
 
 try:
     for path in workflow.configfiles:
@@ -147,7 +153,7 @@ onstart:
         locks.end(Path(), Path(CAMPAIGN.results))
         sys.exit(f"warmlens: {error}")  # as the last line
     with atomic_path(Path(results(CONFIG))) as temporary:
-        temporary.write_text(CAMPAIGN.model_dump_json(indent=2))
+        temporary.write_text(CAMPAIGN.model_dump_json(indent=2), encoding="utf-8")
     write_settings(CAMPAIGN)
     write_started(PRESENT)
     atexit.register(print_failures, time.time())  # the last lines: Snakemake has some after `onerror`

@@ -13,7 +13,7 @@ rule exclusion:
     benchmark:
         note("benchmarks", "exclusion")
     resources:
-        mem_mb=2000,
+        mem_mb=answer_memory_mb(CAMPAIGN),
         runtime=30,
     message:
         "exclusion: accept samples, count them on the nodes"

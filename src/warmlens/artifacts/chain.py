@@ -182,10 +182,11 @@ def walk(
             seen |= sources
 
 
-def check_chains(paths: Iterable[Path], expected_settings: Mapping[str, str]) -> None:
+def check_chains(paths: Iterable[Path], expected_settings: Mapping[str, str]) -> list[Header]:
     """Check that artifacts and all that they were made from have the expected settings and are unchanged since.
 
-    Of the artifacts themselves the content is hashed too; for those that they were made from, `audit` does that.
+    Returns the headers of all of them. Of the artifacts themselves the content is hashed too; for those that they
+    were made from, `audit` does that.
     Paths that do not end in .h5 are ignored.
 
     Raises
@@ -194,8 +195,7 @@ def check_chains(paths: Iterable[Path], expected_settings: Mapping[str, str]) ->
         Naming the first artifact that does not fit, and what to do.
     """
     files = {path.resolve(): "" for path in paths if path.suffix == ".h5"}
-    for record in walk(files, expected_settings, hashed=files):
-        record.sound_header()
+    return [record.sound_header() for record in walk(files, expected_settings, hashed=files)]
 
 
 def examine(

@@ -14,7 +14,8 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
+from pathlib import Path
 from typing import Any
 
 import h5py
@@ -32,6 +33,8 @@ _SEALED = (
     *("schema", "stage", "package_version", "git_commit", "settings", "settings_sha256", "metadata", "inputs"),
     *("seed_key", "created_utc", "digest"),
 )
+_HASHED_BYTES = 2**20  # of a dataset: of a larger one the checksums are sealed
+_CHECKSUM_BYTES = 4  # of a chunk with fletcher32, behind its data
 _LAYOUTS = frozenset({h5py.h5d.COMPACT, h5py.h5d.CONTIGUOUS, h5py.h5d.CHUNKED})
 
 
@@ -200,6 +203,46 @@ def check_seal(file: h5py.File, names: Iterable[str]) -> None:
     """Refuse a file whose texts or single numbers have changed. Files of early versions have no seal."""
     if "seal" in file.attrs and text_attribute(file, "seal") != seal(file, names):
         raise UnusableFileError("its attributes, texts or single numbers have changed since it was written")
+
+
+def array_seals(file: h5py.File, names: Iterable[str]) -> dict[str, str]:
+    """Return the seal of every dataset of a file that has been flushed, see `array_seal`."""
+    return {name: array_seal(file, name) for name in names}
+
+
+def array_seal(file: h5py.File, name: str) -> str:
+    """Return the SHA-256 of name, shape, type and description of a dataset, and of its content.
+
+    Of a large dataset the content stands for the checksum of each chunk, which HDF5 compares when it reads it. So
+    an array that was exchanged with another, or written anew in place, is detected without hashing it.
+    """
+    node = file[name]
+    sha = hashlib.sha256(f"{name}\0{node.shape}\0{node.dtype.str}\0".encode())
+    said = (text_attribute(node, "unit"), *texts_attribute(node, "axes"), text_attribute(node, "description"))
+    sha.update("\0".join(said).encode())
+    if not node.fletcher32 or node.nbytes <= _HASHED_BYTES:
+        sha.update(node[...].tobytes())
+        return sha.hexdigest()
+    chunks: list[tuple[tuple[int, ...], int, int]] = []
+    node.id.chunk_iter(
+        lambda each: chunks.append((each.chunk_offset, each.filter_mask, each.byte_offset + each.size))
+    )
+    with Path(file.filename).open("rb") as stored:
+        for offset, mask, end in sorted(chunks):
+            stored.seek(end - _CHECKSUM_BYTES)
+            sha.update(f"{offset}\0{mask}\0".encode() + stored.read(_CHECKSUM_BYTES))
+    return sha.hexdigest()
+
+
+def read_array_seals(file: h5py.File, names: Collection[str]) -> dict[str, str] | None:
+    """Read the seal of each of the datasets `names`; None for a file of an early version, which has none."""
+    if "arrays" not in file.attrs:
+        return None
+    seals = json_attribute(file, "arrays")
+    if seals.keys() != set(names):
+        changed = sorted(seals.keys() ^ set(names))
+        raise UnusableFileError(f"datasets {changed[:3]} were removed or added since it was written")
+    return seals
 
 
 def check_name(stem: str, span: tuple[int, int] | None) -> None:

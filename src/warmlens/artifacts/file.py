@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import functools
+import glob
 import hashlib
 import os
+import re
 import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -18,26 +21,31 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from warmlens import __version__
+from warmlens import __version__, runtime
 from warmlens.artifacts.checks import (
     UnusableFileError,
+    array_seal,
+    array_seals,
     check_name,
     check_seal,
     dataset_names,
     inputs_attribute,
     json_attribute,
     number_attribute,
+    read_array_seals,
     seal,
     span_attribute,
     text_attribute,
     texts_attribute,
 )
-from warmlens.artifacts.code_version import code_commit
+from warmlens.artifacts.code_version import code_commit, sample_code_digest
 from warmlens.config.digest import canonical_json, settings_digest
 
 SCHEMA_VERSION = 2  # 1 had text of variable length
 _LIBVER = ("v110", "v110")
 _SPARE_BYTES = 2**20
+_ERRNO = re.compile(r"errno = (\d+)")  # of HDF5, in the words of its errors
+_OF_THE_FILE = frozenset({errno.EINVAL, errno.EOVERFLOW, errno.EFBIG, errno.EISDIR})  # damaged sizes and places
 _REMEDY = "delete the file and run the campaign again: only it and what depends on it is recomputed"
 
 
@@ -76,6 +84,8 @@ class Header:
 
     `digest` is the SHA-256 of metadata and datasets. `inputs` has for each name the "path" of the input, relative
     to the folder of the artifact, and the "digest" that it had. Code with uncommitted changes is `git_dirty`.
+    `code_sha256` is the digest of the code that makes samples, `machine` has the processor and BLAS of the host;
+    both are "" in artifacts of early versions.
     """
 
     path: Path
@@ -90,8 +100,15 @@ class Header:
     package_version: str
     git_commit: str
     git_dirty: bool
+    code_sha256: str
     created_utc: str
     wall_seconds: float
+    machine: str = field(default="", kw_only=True)
+
+    @property
+    def code(self) -> str:
+        """Version of the code: its digest, or the commit where it was not recorded."""
+        return self.code_sha256 or self.git_commit
 
     @property
     def settings_sha256(self) -> str:
@@ -103,12 +120,14 @@ class Header:
 class Artifact(Header):
     """An open artifact, with its header: `artifact["name"][...]` reads a dataset.
 
-    What the file consists of, and every attribute, was checked when it was opened.
+    What the file consists of, and every attribute, was checked when it was opened. A dataset is compared with its
+    seal in `unchecked` when it is first asked for; a file of an early version has none (None).
     """
 
     file: h5py.File
     names: tuple[str, ...]
     metadata: dict[str, Any]
+    unchecked: dict[str, str] | None
 
     @property
     def header(self) -> Header:
@@ -119,6 +138,10 @@ class Artifact(Header):
         """Return dataset `name`, not yet read."""
         if name not in self.names:
             raise ArtifactError(f"{self.path}: has no dataset {name!r}; it was written by other code: {_REMEDY}")
+        if self.unchecked is not None and name in self.unchecked:
+            with reading(self.path, f"dataset {name!r}"):
+                if array_seal(self.file, name) != self.unchecked.pop(name):
+                    raise UnusableFileError(f"dataset {name!r} has changed since it was written")
         return self.file[name]
 
     def array(self, name: str, rows: Any = ...) -> npt.NDArray[Any]:
@@ -169,19 +192,41 @@ class _Recorded(dict[str, Any]):
 def reading(path: Path, what: str = "the file") -> Iterator[None]:
     """Turn any error while reading an artifact into an `ArtifactError` that names the file.
 
-    h5py has no error class of its own, and the content of a hostile file may raise anything.
+    h5py has no error class of its own, and the content of a hostile file may raise anything. An error of the
+    system (no lock, no permission, a disk or network that fails) is no fault of the file.
     """
     try:
         yield
     except (ArtifactError, MemoryError):
         raise
+    except OSError as error:
+        raise ArtifactError(f"{path}: {_what_failed(error, what)}") from error
     except UnusableFileError as error:
         raise ArtifactError(f"{path}: no artifact of this program: {error}; {_REMEDY}") from error
     except Exception as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise ArtifactError(
-            f"{path}: {what} is damaged, or is not what its stage writes ({reason}); {_REMEDY}"
-        ) from error
+        raise ArtifactError(f"{path}: {_damaged(error, what)}") from error
+
+
+def _damaged(error: Exception, what: str) -> str:
+    return f"{what} is damaged, or is not what its stage writes ({type(error).__name__}: {error}); {_REMEDY}"
+
+
+def is_passing(error: Exception | None) -> bool:
+    """Return whether a file could not be read for a reason that lies outside of it and may pass."""
+    return any(words in str(error) for words in ("cannot be read now", "is being written by another program"))
+
+
+def _what_failed(error: OSError, what: str, otherwise: str = "") -> str:
+    """Say why `what` cannot be read, and what to do: the fault of the system, else `otherwise` or damage."""
+    text = " ".join(str(error).split())
+    if "already open for write" in text:
+        return f"{what} is being written by another program, or that was killed: end it, or {_REMEDY}"
+    words = _ERRNO.search(text)
+    number = int(words[1]) if words else error.errno
+    if number is None or number in _OF_THE_FILE:
+        return otherwise or _damaged(error, what)
+    lock = "set HDF5_USE_FILE_LOCKING=FALSE" if "lock" in text else "mend that"
+    return f"{what} cannot be read now: {os.strerror(number)} (errno {number}); {lock} and repeat the command"
 
 
 def write_artifact(
@@ -201,7 +246,7 @@ def write_artifact(
             name: {"path": os.path.relpath(source, path.parent), "digest": input_digest(source)}
             for name, source in provenance.inputs.items()
         }
-        with h5py.File(temporary, "w", libver=_LIBVER, track_order=True) as file:
+        with h5py.File(temporary, "w", libver=_LIBVER, track_order=True, locking=False) as file:
             for name, dataset in datasets.items():
                 _write_dataset(file, name, dataset)
             file.flush()
@@ -213,6 +258,7 @@ def write_artifact(
                 "package_version": __version__,
                 "git_commit": commit,
                 "git_dirty": dirty,
+                "code_sha256": sample_code_digest(),
                 "settings": canonical_json(provenance.settings),
                 "settings_sha256": settings_digest(provenance.settings),
                 "metadata": canonical_json(metadata),
@@ -222,10 +268,12 @@ def write_artifact(
                 "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
                 "wall_seconds": time.monotonic() - provenance.started,
                 "digest": digest,
+                "machine": runtime.machine(),
                 "complete": 1,
             }
-            _set_attributes(file, attributes)
-            _set_attributes(file, {"seal": seal(file, dataset_names(file, temporary.stat().st_size))})
+            names = dataset_names(file, temporary.stat().st_size)
+            _set_attributes(file, {**attributes, "arrays": canonical_json(array_seals(file, names))})
+            _set_attributes(file, {"seal": seal(file, names)})
     return digest
 
 
@@ -243,7 +291,7 @@ def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
     temporary = path.with_name(f".{path.name}.tmp-{os.getpid()}")  # which *.h5 does not match
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        for left_over in path.parent.glob(f".{path.name}.tmp-*"):  # of a killed job
+        for left_over in path.parent.glob(f".{glob.escape(path.name)}.tmp-*"):  # of a killed job
             left_over.unlink()
         free = shutil.disk_usage(path.parent).free
         if free < n_bytes + _SPARE_BYTES:
@@ -259,7 +307,7 @@ def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
         reason, remedy = (f"the disk is full ({error})", "make room") if full else (str(error), "fix that")
         raise ArtifactError(
             f"{path}: could not be written: {reason}. Finished artifacts are intact; "
-            f"{remedy} and start the campaign again"
+            f"{remedy} and repeat the command"
         ) from error
     finally:
         if temporary.exists():  # on a read-only disk, unlink fails even if there is no file
@@ -319,9 +367,10 @@ def open_artifact(path: Path, *stages: str) -> Iterator[Artifact]:
     if not path.is_file():
         raise ArtifactError(f"{path}: not a file, expected an artifact; remove it and run the campaign again")
     try:
-        file = h5py.File(path, "r", locking="best-effort")
+        file = h5py.File(path, "r", locking=False)  # no lock is needed: a finished file is replaced, never changed
     except OSError as error:
-        raise ArtifactError(f"{path}: not a readable HDF5 file ({error}); {_REMEDY}") from error
+        otherwise = f"not a readable HDF5 file ({error}); {_REMEDY}"
+        raise ArtifactError(f"{path}: {_what_failed(error, 'the file', otherwise)}") from error
     with file:
         with reading(path):
             artifact = _checked(path, file)
@@ -331,6 +380,27 @@ def open_artifact(path: Path, *stages: str) -> Iterator[Artifact]:
         yield artifact
 
 
+@contextlib.contextmanager
+def open_input(path: Path, *stages: str) -> Iterator[Artifact]:
+    """Open an artifact that another is computed from: its content is compared with what was written.
+
+    Its datasets are compared with their seals when they are read. The content of a file of an early version, which
+    has no such seals, is hashed, once per process.
+    """
+    with open_artifact(path, *stages) as artifact:
+        if artifact.unchecked is None:
+            with reading(path):
+                _check_digest(path.resolve(), path.stat().st_mtime_ns, artifact.digest)
+        yield artifact
+
+
+@functools.cache
+def _check_digest(path: Path, _written_ns: int, digest: str) -> None:
+    with open_artifact(path) as artifact:
+        if content_digest(artifact.file, artifact.metadata) != digest:
+            raise UnusableFileError("its content has changed since it was written")
+
+
 def _checked(path: Path, file: h5py.File) -> Artifact:
     """Read the header, and check what the file consists of."""
     if "complete" not in file.attrs or number_attribute(file, "complete") != 1:
@@ -338,6 +408,7 @@ def _checked(path: Path, file: h5py.File) -> Artifact:
     version = number_attribute(file, "schema_version")
     if version != SCHEMA_VERSION:
         raise ArtifactError(f"{path}: schema version {version:g}, this program reads {SCHEMA_VERSION}; {_REMEDY}")
+    names = dataset_names(file, path.stat().st_size)
     text_attribute(file, "settings_sha256")  # `Header` computes its own; no artifact lacks it
     artifact = Artifact(
         path=path,
@@ -352,11 +423,14 @@ def _checked(path: Path, file: h5py.File) -> Artifact:
         package_version=text_attribute(file, "package_version"),
         git_commit=text_attribute(file, "git_commit"),
         git_dirty=bool(number_attribute(file, "git_dirty")),
+        code_sha256=text_attribute(file, "code_sha256") if "code_sha256" in file.attrs else "",
         created_utc=text_attribute(file, "created_utc"),
         wall_seconds=number_attribute(file, "wall_seconds"),
+        machine=text_attribute(file, "machine") if "machine" in file.attrs else "",
         file=file,
-        names=dataset_names(file, path.stat().st_size),
+        names=names,
         metadata=json_attribute(file, "metadata", lambda content: _Recorded(path, content)),
+        unchecked=read_array_seals(file, names),
     )
     check_seal(file, artifact.names)
     check_name(path.stem, artifact.span)

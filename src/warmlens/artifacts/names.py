@@ -15,7 +15,7 @@ FIGURE_GROUPS = {  # one job each: the imports take longer than drawing
     "answer": ("posterior", "likelihood", "calibration", "convergence", "predictive", "information"),
 }
 FIGURES = tuple(name for names in FIGURE_GROUPS.values() for name in names)
-FIGURE_VERSION = 5  # raise it when a figure changes: finished campaigns then redraw theirs
+FIGURE_VERSION = 6  # raise it when a figure changes: finished campaigns then redraw theirs
 CONFIG = "config.json"
 EXTENDED = "config.extended.json"  # of `warmlens extend`, until the campaign has started with it
 SETTINGS = "settings/{stage}.json"  # what the jobs of a stage read
@@ -24,7 +24,7 @@ STARTED = "settings/started.json"  # what the last start was about
 TABLE = "abc.csv"
 NUMBERS = "abc.json"
 REPORT = "report.html"
-REPORT_VERSION = 2
+REPORT_VERSION = 3
 LEDGER = "derived/{name}.json"  # what a figure, or the report, was made from
 MANIFEST = "manifest.json"
 CRATE = "ro-crate-metadata.json"  # as RO-Crate wants it

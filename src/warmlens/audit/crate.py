@@ -71,7 +71,7 @@ def write_crate(results: Path, manifest: Manifest, headers: Sequence[Header], li
         if stage not in _WORKING:
             _add_action(crate, [header for header in headers if header.stage == stage], software, entities)
     with atomic_path(results / CRATE) as temporary:
-        temporary.write_text(json.dumps(crate.metadata.generate(), indent=2) + "\n")
+        temporary.write_text(json.dumps(crate.metadata.generate(), indent=2) + "\n", encoding="utf-8")
 
 
 def _add_software(crate: ROCrate, manifest: Manifest) -> ContextEntity:

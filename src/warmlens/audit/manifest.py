@@ -23,7 +23,7 @@ from warmlens.products.manifest import Manifest, ManifestFile
 from warmlens.stage_table import campaign_stages, stage_digests
 
 LIBRARIES = ("astropy", "colossus", "h5py", "lenstronomy", "numba", "numpy", "pandas", "scipy", "snakemake")
-_OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc")  # of its header
+_OF_ARTIFACT = ("stage", "digest", "settings_sha256", "git_commit", "created_utc", "machine")  # of its header
 
 
 def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None) -> tuple[Manifest, list[Header]]:
@@ -67,7 +67,7 @@ def make_manifest(config: Config, done: Callable[[Path], None] = lambda _: None)
         python=platform.python_version(),
         libraries={name: metadata.version(name) for name in LIBRARIES},
         seed=config.campaign.seed,
-        config=json.loads((root / CONFIG).read_text()),
+        config=json.loads((root / CONFIG).read_text(encoding="utf-8")),
         files=files,
     )
     return manifest, headers
@@ -80,4 +80,4 @@ def _bytes(path: Path, root: Path) -> dict[str, Any]:
 def write_manifest(manifest: Manifest, path: Path) -> None:
     """Write a manifest as JSON, without what is None."""
     with atomic_path(path) as temporary:
-        temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n")
+        temporary.write_text(manifest.model_dump_json(indent=2, exclude_none=True) + "\n", encoding="utf-8")

@@ -7,20 +7,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
 from rich.table import Table
 
 from warmlens.artifacts.chain import Record
 from warmlens.audit.campaign import CampaignAudit
 from warmlens.audit.mending import Mending
-from warmlens.text import duration
+from warmlens.text import Terminal, duration
 
 _DAY = 86400.0
 _WIDEST = 400
 _CHAIN = ("settings", "inputs")
 _ATTRIBUTES = (
     *("schema", "schema_version", "digest", "settings_sha256", "created_utc", "wall_seconds"),
-    *("package_version", "git_commit", "git_dirty"),
+    *("package_version", "git_commit", "git_dirty", "machine"),
 )
 
 
@@ -35,7 +34,7 @@ def print_audit(audit: CampaignAudit, mend: Mending) -> None:
     for record in audit.files:
         if record.findings:
             table.add_row(_name(record, audit.results), record.stage, "", "", "", "", record.verdict)
-    console = Console(highlight=False, markup=False, soft_wrap=True)
+    console = Terminal(markup=False)
     whole = console.measure(table, options=console.options.update(max_width=_WIDEST)).maximum
     console.width = max(console.width, whole)  # digests are searched for, so nothing is cut
     console.print(table)

@@ -63,7 +63,7 @@ def branch(base: Path, config: Config, yes: bool = False) -> list[StageBranch]:
     if not yes and (target / MARK).is_file():
         check_consent(compare_present(config), _computed_in(target, base, config))
     with atomic_path(target / MARK) as temporary:
-        temporary.write_text(json.dumps({"base": os.path.relpath(base, target)}) + "\n")
+        temporary.write_text(json.dumps({"base": os.path.relpath(base, target)}) + "\n", encoding="utf-8")
     digests = stage_digests(config)
     branches = []
     for stage in campaign_stages(config)[:-1]:

@@ -71,7 +71,7 @@ def _this_run(folder: Path) -> Run:
 
 def _boot() -> str:
     try:
-        return Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="utf-8").strip()
     except OSError:
         return ""
 
@@ -99,7 +99,7 @@ def is_gone(path: Path, run: Run) -> bool | None:
 def _is_flocked(path: Path) -> bool | None:
     """Return whether some process holds a record; None if the file system does not say."""
     try:
-        with path.open() as handle:
+        with path.open(encoding="utf-8") as handle:
             fcntl.flock(handle, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
@@ -147,7 +147,7 @@ def begin(folder: Path, results: Path) -> None:
 def _hold(path: Path, run: Run) -> None:
     """Write a record, and keep it locked until this process ends."""
     with atomic_path(path) as temporary:
-        handle = temporary.open("w")
+        handle = temporary.open("w", encoding="utf-8")
         with contextlib.suppress(OSError):  # not supported here
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         json.dump(asdict(run) | {"flock": _is_flocked(temporary) is True}, handle)
@@ -173,7 +173,7 @@ def runs(folder: Path, place: Path = _RECORDS) -> dict[Path, Run]:
     recorded = {}
     for path in sorted((folder / place).glob("*.json")):
         try:
-            recorded[path] = _parse(path.read_text())
+            recorded[path] = _parse(path.read_text(encoding="utf-8"))
         except FileNotFoundError:  # it has just ended
             continue
         except (OSError, ValueError, TypeError) as error:

@@ -91,7 +91,7 @@ def extend(results: Path, n_samples: int, cores: int, extra: Sequence[str], yes:
     config = parse_config(raw)
     overlay = results / EXTENDED
     with atomic_path(overlay) as temporary:
-        temporary.write_text(json.dumps(raw, indent=2))
+        temporary.write_text(json.dumps(raw, indent=2), encoding="utf-8")
     try:
         return run(config, [overlay], cores, extra, yes)
     finally:
@@ -143,7 +143,7 @@ def _read_own(results: Path) -> dict[str, Any]:
             f"{results / CONFIG}: the campaign was started as {recorded} and now lies in {results}; move it back, "
             "start from the folder that it was started from, or change `results` in that file"
         )
-    raw: dict[str, Any] = json.loads((results / CONFIG).read_text())
+    raw: dict[str, Any] = json.loads((results / CONFIG).read_text(encoding="utf-8"))
     return raw
 
 

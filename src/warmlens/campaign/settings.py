@@ -33,7 +33,7 @@ def write_settings(config: Config) -> None:
 
 def _write(config: Config, name: str, text: str) -> None:
     with atomic_path(Path(config.results) / name) as temporary:
-        temporary.write_text(text + "\n")
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def read_paths(text: str) -> list[Path]:
@@ -47,7 +47,7 @@ def read_paths(text: str) -> list[Path]:
     if not text.startswith("@"):
         return [Path(text)]
     try:
-        paths = json.loads(Path(text[1:]).read_text())
+        paths = json.loads(Path(text[1:]).read_text(encoding="utf-8"))
         if not isinstance(paths, list) or not all(isinstance(path, str) for path in paths):
             raise ValueError("expected a JSON list of paths")
     except (OSError, ValueError, RecursionError) as error:
@@ -66,7 +66,7 @@ def read_settings(name: str, source: str) -> StageSettings:
     if name not in STAGES:
         raise ConfigError([f"{name}: no stage of this name; stages are {', '.join(STAGES)}"])
     try:
-        raw = json.loads(source if source.lstrip().startswith("{") else Path(source).read_text())
+        raw = json.loads(source if source.lstrip().startswith("{") else Path(source).read_text(encoding="utf-8"))
         if not isinstance(raw, dict):
             raise ValueError(f"expected a JSON object, found {type(raw).__name__}")
     except (OSError, ValueError, RecursionError) as error:

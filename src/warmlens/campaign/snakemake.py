@@ -38,7 +38,7 @@ def snakemake_command(overlays: Sequence[Path], cores: int | str = "all") -> str
 
 def recorded_results(results: Path) -> Path:
     """Return the results folder as its configuration names it, from the folder that Snakemake runs in."""
-    return Path(json.loads((results / CONFIG).read_text())["results"])
+    return Path(json.loads((results / CONFIG).read_text(encoding="utf-8"))["results"])
 
 
 def remaking_command(results: Path, *names: str) -> str:

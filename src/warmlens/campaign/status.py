@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from rich.console import Console
 from rich.table import Table
 
 from warmlens.artifacts.file import ArtifactError, open_artifact
@@ -17,7 +16,7 @@ from warmlens.campaign.files import note_file, stage_file, stage_files, stage_sp
 from warmlens.config.file import read_stored
 from warmlens.config.model import Config
 from warmlens.stage_table import STAGES, campaign_stages
-from warmlens.text import duration
+from warmlens.text import Terminal, duration
 
 _SAMPLED = (*CHUNKED, *NULL)
 _MAX_NAMED = 3  # stages in a line of progress; the others are counted
@@ -135,7 +134,7 @@ def note_ended(logs: Sequence[Path]) -> None:
     """Add to the logs of failed jobs without a message that they were ended from outside."""
     for log in logs:
         if log.is_file() and not _last_error(log):
-            with log.open("a") as handle:
+            with log.open("a", encoding="utf-8") as handle:
                 handle.write(f"\n{_ERROR}ended without a message: killed, or out of memory or time\n")
 
 
@@ -174,7 +173,7 @@ def print_status(stages: list[StageStatus], failed: Sequence[Failure], cores: in
             "" if row.seconds is None else f"{row.seconds:.1f}",
             "unknown" if left is None else duration(left),
         )
-    console = Console()
+    console = Terminal(soft_wrap=False)
     console.print(table)
     for failure in failed:
         console.print(f"failed: {failure}", markup=False, highlight=False, soft_wrap=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import os
 import sys
@@ -12,6 +13,7 @@ import typer
 
 from warmlens import runtime
 from warmlens.cli import stages
+from warmlens.text import visible
 
 if TYPE_CHECKING:
     from warmlens.config.model import Config
@@ -261,17 +263,29 @@ def systematics(
 
 
 @app.command()
-def validate(configfile: ConfigFiles = None) -> None:
-    """Check config.yaml, overlays and the images that they name; print one line per problem."""
+def validate(
+    configfile: ConfigFiles = None,
+    figure: Annotated[
+        Path | None, typer.Option(help="Draw the images as the program takes them: .png, .pdf or .svg.")
+    ] = None,
+) -> None:
+    """Check config.yaml, overlays and the images that they name; print what they are, or one line per problem."""
     from warmlens.campaign.files import chunks, shards
-    from warmlens.campaign.preflight import check_observation
+    from warmlens.campaign.image_page import describe_images, draw_images
+    from warmlens.campaign.preflight import check_images, simulate_images
 
-    lines = check_observation(_load(configfile))
+    images = simulate_images(_load(configfile))
+    for line in describe_images(images):
+        typer.echo(visible(line))
+    if figure is not None:
+        draw_images(images, figure)
+        typer.echo(f"\nfigure: {visible(str(figure))}")
+    notes = check_images(images)  # after the page and the figure, which show what is wrong
+    if notes:
+        typer.echo(visible("\nlook at this:" + "".join(f"\n- {note}" for note in notes)))
     config = _load_campaign(configfile)
-    for line in lines:
-        typer.echo(line)
     typer.echo(
-        f"valid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
+        f"\nvalid: {config.campaign.n_samples} samples in {len(chunks(config))} chunks, "
         f"{len(shards(config))} shards of the scan operator, results in {config.results}"
     )
 
@@ -294,9 +308,9 @@ def config_reference() -> None:
     from warmlens.config.reference import generated_files
 
     _load(None)  # an invalid config.yaml stays as it is
-    for path, text in generated_files(Path("config.yaml").read_text()).items():
+    for path, text in generated_files(Path("config.yaml").read_text(encoding="utf-8")).items():
         with atomic_path(Path(path)) as temporary:
-            temporary.write_text(text)
+            temporary.write_text(text, encoding="utf-8")
 
 
 app.add_typer(stages.app)
@@ -315,21 +329,36 @@ def _load_campaign(overlays: list[Path] | None) -> Config:
     return resolve_window(_load(overlays))
 
 
+class _Visible(logging.Formatter):
+    def format(self, record: logging.LogRecord) -> str:
+        return visible(super().format(record))
+
+
 def main() -> None:
-    """Run the command line. Errors of the user or of an input end with a message, not with a traceback."""
+    """Run the command line. Errors of user, machine or input end with a message, not with a traceback."""
+    for stream in (sys.stdout, sys.stderr):  # a terminal that is not UTF-8 shows what it can
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     runtime.prepare()  # before anything numerical is imported
     from warmlens.artifacts.file import ArtifactError
     from warmlens.campaign.locks import LockedError
     from warmlens.config.file import ConfigError
 
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S")
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Visible("%(asctime)s %(levelname)s %(message)s", datefmt="%H:%M:%S"))
+    logging.basicConfig(level=logging.INFO, handlers=[handler])
     try:
         app(stages.translate(sys.argv[1:]))
     except (ConfigError, ArtifactError, LockedError) as error:
-        sys.exit(f"warmlens: {error}")
+        sys.exit(f"warmlens: {visible(str(error))}")
+    except OSError as error:
+        if error.filename is None:  # which would not be told from the message
+            logging.exception("where it happened")
+        what = f"{error.filename}: {error.strerror}" if error.filename is not None else str(error)
+        sys.exit(f"warmlens: {visible(what)}")
     except ValueError as error:
         logging.exception("where it happened")
-        sys.exit(f"warmlens: {error}")
+        sys.exit(f"warmlens: {visible(str(error))}")
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def stage(
         typer.Option(help="First, and last + 1, of the samples or positions to compute."),
     ] = None,
     sample_seconds: Annotated[
-        float, typer.Option(help="Longest time of one sample; a sample that takes longer fails.")
+        float, typer.Option(help="Longest processor time of one sample; one that takes longer fails.")
     ] = SAMPLE_SECONDS,
 ) -> None:
     """Run one stage of a campaign: read its inputs, do its work, write its artifact."""

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from pydantic_core import ErrorDetails
 
 from warmlens.config.model import Config
+from warmlens.config.plausible import questions, usual_at
 from warmlens.config.reference import BAND, keys
 from warmlens.config.types import Block, ConfigError, plain_path
 from warmlens.config.yaml import read_yaml
@@ -23,8 +24,34 @@ AnyBlock = TypeVar("AnyBlock", bound=Block)
 
 
 def parse_config(raw: Mapping[str, Any]) -> Config:
-    """Validate a mapping; raise `ConfigError` with one line per problem, each naming key, value and range."""
-    return parse_block(Config, raw)
+    """Validate a mapping; raise `ConfigError` with one line per problem, each naming key, value and range.
+
+    Numbers outside their usual range are problems too, unless `unusual` lists their keys.
+    """
+    config = parse_block(Config, raw)
+    asked = dict(questions(config))
+    if problems := _unknown_keys(config.unusual) + [asked[key] for key in asked if key not in config.unusual]:
+        raise ConfigError(problems)
+    return config
+
+
+def _unknown_keys(named: Sequence[str]) -> list[str]:
+    """Return a line per name that is no key."""
+    known = [".".join(key.path) for key in keys()]
+    problems = []
+    for name in named:
+        if any(_matches(key.path, name.split(".")) for key in keys()):
+            continue
+        nearest = difflib.get_close_matches(name, known, n=1)
+        problems.append(
+            f"unusual: {name!r} is no key; " + (f"did you mean {nearest[0]}?" if nearest else "remove it")
+        )
+    return problems
+
+
+def _matches(path: Sequence[str], parts: Sequence[str]) -> bool:
+    same = (part in (named, BAND) for part, named in zip(path, parts, strict=False))
+    return len(path) == len(parts) and all(same)
 
 
 def parse_block(kind: type[AnyBlock], raw: Mapping[str, Any]) -> AnyBlock:
@@ -32,10 +59,10 @@ def parse_block(kind: type[AnyBlock], raw: Mapping[str, Any]) -> AnyBlock:
     try:
         return kind.model_validate(dict(raw))
     except ValidationError as error:
-        raise ConfigError([_problem(details) for details in error.errors()]) from None
+        raise ConfigError([_problem(kind, details) for details in error.errors()]) from None
 
 
-def _problem(details: ErrorDetails) -> str:
+def _problem(kind: type[Block], details: ErrorDetails) -> str:
     key = ".".join(str(part) for part in details["loc"]) or "config"
     match details["type"]:
         case "extra_forbidden":
@@ -44,7 +71,9 @@ def _problem(details: ErrorDetails) -> str:
             return f"{key}: missing; config.yaml shows an example"
         case "value_error":
             return f"{key}: {details['ctx']['error']}"
-    return f"{key}: {details['msg'][:1].lower()}{details['msg'][1:]}, got {reprlib.repr(details['input'])}"
+    usual = usual_at(kind, details["loc"])
+    meant = usual.suggestion(details["input"]) if usual else ""
+    return f"{key}: {details['msg'][:1].lower()}{details['msg'][1:]}, got {reprlib.repr(details['input'])}{meant}"
 
 
 def _remedy(location: tuple[int | str, ...]) -> str:
@@ -74,12 +103,12 @@ def load_config(paths: Sequence[Path]) -> Config:
 def read_stored(path: Path) -> Config:
     """Read the configuration that a campaign left in its results folder, as JSON."""
     try:
-        raw = json.loads(path.read_text())
+        raw = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError) as error:
         raise ConfigError([f"{path}: not readable as JSON ({error}); start the campaign again"]) from None
     if not isinstance(raw, dict):
         raise ConfigError([f"{path}: expected a JSON object, found {type(raw).__name__}"])
-    return parse_config(raw)
+    return parse_block(Config, raw)  # its numbers were accepted when the campaign was started
 
 
 def merge(base: Mapping[str, Any], layer: Mapping[str, Any]) -> dict[str, Any]:

@@ -6,7 +6,9 @@ from typing import Annotated, Literal
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from warmlens.config import plausible
 from warmlens.config.observation import ObservationBlock
+from warmlens.config.plausible import Usual
 from warmlens.config.scan import ScanBlock, SummariesBlock
 from warmlens.config.smooth_model import SmoothModelBlock
 from warmlens.config.types import (
@@ -38,10 +40,10 @@ def _branching(value: object) -> object:
 class GridBlock(Block):
     """Nodes for design: grid, each relic mass with each halo mass (workflow/configs/pilot.yaml)."""
 
-    m_th_kev: Annotated[list[Positive], Ascending] = Field(
+    m_th_kev: Annotated[list[Positive], Ascending, plausible.RELIC] = Field(
         min_length=2, description="Relic masses [keV], ascending"
     )
-    log10_m_halo_msun: Annotated[list[Finite], Ascending] = Field(
+    log10_m_halo_msun: Annotated[list[Finite], Ascending, plausible.HOST] = Field(
         min_length=2, description="Host masses log10(M200c / Msun), ascending"
     )
     realizations: int = Field(ge=1, description="Samples at each node; n_samples is nodes x realizations")
@@ -93,12 +95,24 @@ class CampaignBlock(Block):
 class CosmologyBlock(Block):
     """Flat LCDM."""
 
-    H0: Positive = Field(description="Hubble constant [km/s/Mpc]")
-    Om0: Fraction = Field(description="Matter density over the critical density, today")
-    Ob0: Fraction = Field(description="Baryon density over the critical density, today; below Om0")
-    sigma8: Positive = Field(description="rms of the linear density contrast in spheres of 8 Mpc/h, today")
-    ns: Positive = Field(description="Spectral index of the primordial power spectrum")
-    Tcmb0: Positive = Field(description="Temperature of the CMB [K]; the paper does not give it")
+    H0: Annotated[Positive, Usual(50, 100, "km/s/Mpc", plausible.HUBBLE, plausible.PER_KPC)] = Field(
+        description="Hubble constant [km/s/Mpc]"
+    )
+    Om0: Annotated[Fraction, Usual(0.1, 0.6, "", plausible.PERCENT)] = Field(
+        description="Matter density over the critical density, today"
+    )
+    Ob0: Annotated[Fraction, Usual(0.03, 0.08, "of the critical density, not Ob0 h^2", plausible.PERCENT)] = Field(
+        description="Baryon density over the critical density, today; below Om0"
+    )
+    sigma8: Annotated[Positive, Usual(0.5, 1.2, "", plausible.PERCENT)] = Field(
+        description="rms of the linear density contrast in spheres of 8 Mpc/h, today"
+    )
+    ns: Annotated[Positive, Usual(0.8, 1.1, "", plausible.PERCENT)] = Field(
+        description="Spectral index of the primordial power spectrum"
+    )
+    Tcmb0: Annotated[Positive, Usual(2, 3.5, "K", plausible.MILLI, plausible.MICRO)] = Field(
+        description="Temperature of the CMB [K]; the paper does not give it"
+    )
 
     @model_validator(mode="after")
     def _baryons(self) -> CosmologyBlock:
@@ -110,8 +124,12 @@ class CosmologyBlock(Block):
 class RedshiftBlock(Block):
     """Redshifts of the lens and of the source."""
 
-    lens: Positive = Field(description="Redshift of the host halo; halos along the line of sight are left out")
-    source: Positive = Field(description="Redshift of the source, behind the lens")
+    lens: Annotated[Positive, Usual(0.01, 3, "", plausible.RECESSION)] = Field(
+        description="Redshift of the host halo; halos along the line of sight are left out"
+    )
+    source: Annotated[Positive, Usual(0.05, 12, "", plausible.RECESSION)] = Field(
+        description="Redshift of the source, behind the lens"
+    )
 
     @model_validator(mode="after")
     def _order(self) -> RedshiftBlock:
@@ -123,8 +141,10 @@ class RedshiftBlock(Block):
 class DarkMatterBlock(Block):
     """Prior of the inferred parameters: uniform and independent."""
 
-    m_th_kev: Interval = Field(description="Thermal relic mass [keV]")
-    log10_m_halo_msun: Interval = Field(description="Host mass log10(M200c / Msun) at the lens, within [10, 16]")
+    m_th_kev: Annotated[Interval, plausible.RELIC] = Field(description="Thermal relic mass [keV]")
+    log10_m_halo_msun: Annotated[Interval, plausible.HOST] = Field(
+        description="Host mass log10(M200c / Msun) at the lens, within [10, 16]"
+    )
 
     @model_validator(mode="after")
     def _ranges(self) -> DarkMatterBlock:
@@ -132,7 +152,8 @@ class DarkMatterBlock(Block):
             raise ValueError(f"m_th_kev must be above 0, got {self.m_th_kev[0]:g}")
         low, high = self.log10_m_halo_msun
         if not 10 <= low < high <= 16:
-            raise ValueError(f"log10_m_halo_msun must lie within [10, 16], got [{low:g}, {high:g}]")
+            meant = plausible.HOST.suggestion((low, high))
+            raise ValueError(f"log10_m_halo_msun must lie within [10, 16], got [{low:g}, {high:g}]{meant}")
         return self
 
 
@@ -152,33 +173,59 @@ class HalosBlock(Block):
     transfer_function: Literal["viel05", "bode01", "vogel23"] = Field(
         description="viel05 (Viel+ 2005) | bode01 (Bode+ 2001) | vogel23 (Vogel & Abazajian 2023)"
     )
-    field_half_width_arcsec: Positive = Field(
+    field_half_width_arcsec: Annotated[Positive, plausible.EXTENT] = Field(
         description="Subhalos are kept to this |x|, |y| [arcsec]: image half-width + 3 filter widths"
     )
-    min_mass_msun: Positive = Field(description="Floor of the trees' resolution and of the bound mass [Msun]")
+    min_mass_msun: Annotated[Positive, plausible.MASS] = Field(
+        description="Floor of the trees' resolution and of the bound mass [Msun]"
+    )
     branching: Annotated[str | tuple[float, float, float, float], BeforeValidator(_branching)] = Field(
         description="pch08 (Parkinson et al. 2008) | benson17 | pch_plus | [G0, gamma1, gamma2, gamma3]"
     )
-    sharp_k_a: Positive = Field(description="k_s R of the sharp-k filter (Benson et al. 2013)")
-    barrier_factor: Positive = Field(description="Factor on the collapse barrier (Benson et al. 2013)")
-    stripping_amplitude: NonNegative = Field(description="A_ts of tidal stripping (Giocoli et al. 2008)")
-    stripping_slope: Positive = Field(description="zeta of tidal stripping (Giocoli et al. 2008)")
-    friction_amplitude: NonNegative = Field(description="A_df of dynamical friction (Boylan-Kolchin et al. 2008)")
-    friction_mass_slope: Finite = Field(description="b_df of dynamical friction")
-    friction_circularity_slope: Finite = Field(description="c_df of dynamical friction")
+    sharp_k_a: Annotated[Positive, Usual(1, 5)] = Field(
+        description="k_s R of the sharp-k filter (Benson et al. 2013)"
+    )
+    barrier_factor: Annotated[Positive, Usual(0.5, 2, "", plausible.PERCENT)] = Field(
+        description="Factor on the collapse barrier (Benson et al. 2013)"
+    )
+    stripping_amplitude: Annotated[NonNegative, Usual(0, 20)] = Field(
+        description="A_ts of tidal stripping (Giocoli et al. 2008)"
+    )
+    stripping_slope: Annotated[Positive, Usual(0.001, 1, "", plausible.PERCENT)] = Field(
+        description="zeta of tidal stripping (Giocoli et al. 2008)"
+    )
+    friction_amplitude: Annotated[NonNegative, Usual(0.01, 10)] = Field(
+        description="A_df of dynamical friction (Boylan-Kolchin et al. 2008)"
+    )
+    friction_mass_slope: Annotated[Finite, Usual(0, 3, "", plausible.SIGN)] = Field(
+        description="b_df of dynamical friction"
+    )
+    friction_circularity_slope: Annotated[Finite, Usual(0, 5, "", plausible.SIGN)] = Field(
+        description="c_df of dynamical friction"
+    )
     concentration: Literal["paper", "duffy08"] = Field(
         description="paper (power law of the keys below) | duffy08 (Duffy et al. 2008, 200c, full sample)"
     )
-    concentration_scatter_dex: NonNegative = Field(description="Log-normal scatter of the subhalos' values [dex]")
-    concentration_amplitude: Positive = Field(description="A_c of c(M, z) of cold halos")
-    concentration_mass_slope: Finite = Field(description="B_c of c(M, z) of cold halos")
-    concentration_redshift_slope: Finite = Field(description="C_c of c(M, z) of cold halos")
-    concentration_pivot_msun: Positive = Field(description="Pivot mass of c(M, z) [Msun]")
-    concentration_min: Positive = Field(description="Smallest concentration of any halo")
-    formation_mass_cap_msun: Positive = Field(
+    concentration_scatter_dex: Annotated[NonNegative, Usual(0, 0.5, "dex", plausible.PERCENT)] = Field(
+        description="Log-normal scatter of the subhalos' values [dex]"
+    )
+    concentration_amplitude: Annotated[Positive, Usual(1, 50)] = Field(description="A_c of c(M, z) of cold halos")
+    concentration_mass_slope: Annotated[Finite, Usual(-0.3, 0, "", plausible.SIGN)] = Field(
+        description="B_c of c(M, z) of cold halos"
+    )
+    concentration_redshift_slope: Annotated[Finite, Usual(-2, 0, "", plausible.SIGN)] = Field(
+        description="C_c of c(M, z) of cold halos"
+    )
+    concentration_pivot_msun: Annotated[
+        Positive, Usual(1e8, 1e16, "Msun", plausible.LOG10, plausible.TEN_BILLIONS)
+    ] = Field(description="Pivot mass of c(M, z) [Msun]")
+    concentration_min: Annotated[Positive, Usual(0.5, 10)] = Field(
+        description="Smallest concentration of any halo"
+    )
+    formation_mass_cap_msun: Annotated[Positive, plausible.HEAVY_MASS] = Field(
         description="Heaviest cold halo that a warm one is mapped to [Msun] (Schneider 2015)"
     )
-    z_max: Positive = Field(description="Redshift at which the trees end")
+    z_max: Annotated[Positive, Usual(3, 100)] = Field(description="Redshift at which the trees end")
 
     @model_validator(mode="after")
     def _preset(self) -> HalosBlock:
@@ -196,7 +243,7 @@ class DeflectionsBlock(Block):
     filter: Literal["gaussian", "starlet", "median_wavelet"] = Field(
         description="gaussian | starlet | median_wavelet: the smooth part of the deflection is subtracted"
     )
-    filter_arcsec: Positive = Field(
+    filter_arcsec: Annotated[Positive, Usual(0.01, 10, "arcsec", plausible.MAS, plausible.DEGREES)] = Field(
         description="Gaussian width [arcsec], the scale of the smooth lens; others use their nearest scale"
     )
     smooth_host: bool = Field(False, description="Let the host's smooth NFW profile deflect too, before filtering")
@@ -229,13 +276,17 @@ class AbcBlock(Block):
         description="max_rank: both distances below one common quantile; marginal_and: each below its own; "
         "scaled_sum: their scaled sum; correlation, cumulative: one alone"
     )
-    fraction: float = Field(gt=0, le=1, description="Accepted fraction (marginal_and: of each distance)")
+    fraction: Annotated[float, Usual(0, 1, "", plausible.PERCENT)] = Field(
+        gt=0, le=1, description="Accepted fraction (marginal_and: of each distance)"
+    )
     distance: Literal["integral", "whitened"] = Field(
         "integral", description="integral: of the squared difference; whitened: by the covariance of the summaries"
     )
     bootstrap: int = Field(ge=100, description="Resampled tables for the Monte Carlo errors")
     leave_one_out: int = Field(1000, ge=10, description="Samples that calibrate the bound; 300 are needed to pass")
-    max_failed_fraction: float = Field(ge=0, lt=1, description="Above this fraction of failures, no posterior")
+    max_failed_fraction: Annotated[float, Usual(0, 1, "", plausible.PERCENT)] = Field(
+        ge=0, lt=1, description="Above this fraction of failures, no posterior"
+    )
 
     @model_validator(mode="after")
     def _one_distance(self) -> AbcBlock:
@@ -264,6 +315,11 @@ class Config(Block):
     summaries: SummariesBlock
     null_test: NullTestBlock = NullTestBlock()
     abc: AbcBlock
+    unusual: list[str] = Field(
+        [],
+        exclude_if=lambda keys: not keys,
+        description="Keys whose numbers lie outside their usual range and are meant, such as cosmology.H0",
+    )
 
     @model_validator(mode="after")
     def _grid_within_ranges(self) -> Config:

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from warmlens.config import plausible
+from warmlens.config.plausible import Usual
 from warmlens.config.smooth_model import LensBlock, LensLightBlock
 from warmlens.config.types import (
     BandName,
@@ -30,31 +32,51 @@ def _is_none(value: object) -> bool:
 class SimulatedBandBlock(Block):
     """One band of the simulated observation."""
 
-    wavelength_nm: Positive = Field(description="Wavelength [nm], which sets the width of the PSF")
-    exposure_s: Positive = Field(description="Exposure time [s], which sets the Poisson noise")
-    background_rms: Positive = Field(description="Background noise per pixel [e-/s]")
-    sky: Finite = Field(description="Constant level of the image [e-/s per pixel]")
-    source_flux: Positive = Field(description="Unlensed flux of the source [e-/s]")
-    clump_flux_fraction: float = Field(ge=0, le=1, description="Fraction of source_flux in the clumps")
-    quasar_fluxes: list[NonNegative] = Field(description="Flux of each quasar image [e-/s]")
-    lens_light_amplitudes: list[NonNegative] = Field(description="Light at R_sersic per model [e-/s/arcsec^2]")
+    wavelength_nm: Annotated[Positive, plausible.WAVELENGTH] = Field(
+        description="Wavelength [nm], which sets the width of the PSF"
+    )
+    exposure_s: Annotated[Positive, plausible.EXPOSURE] = Field(
+        description="Exposure time [s], which sets the Poisson noise"
+    )
+    background_rms: Annotated[Positive, plausible.RMS] = Field(description="Background noise per pixel [e-/s]")
+    sky: Annotated[Finite, Usual(-1e3, 1e5, "e-/s per pixel")] = Field(
+        description="Constant level of the image [e-/s per pixel]"
+    )
+    source_flux: Annotated[Positive, plausible.FLUX] = Field(description="Unlensed flux of the source [e-/s]")
+    clump_flux_fraction: Annotated[float, Usual(0, 1, "", plausible.PERCENT)] = Field(
+        ge=0, le=1, description="Fraction of source_flux in the clumps"
+    )
+    quasar_fluxes: Annotated[list[NonNegative], plausible.FLUX] = Field(
+        description="Flux of each quasar image [e-/s]"
+    )
+    lens_light_amplitudes: Annotated[list[NonNegative], plausible.FLUX] = Field(
+        description="Light at R_sersic per model [e-/s/arcsec^2]"
+    )
 
 
 class SimulatedSourceBlock(Block):
     """Face-on clumpy spiral: an exponential disc and Gaussian clumps along two arms."""
 
-    center: Point = Field(description="Centre [x, y] in the source plane [arcsec]")
-    disc_scale_arcsec: Positive = Field(description="Scale of the exponential disc [arcsec]")
+    center: Annotated[Point, plausible.POSITION] = Field(description="Centre [x, y] in the source plane [arcsec]")
+    disc_scale_arcsec: Annotated[Positive, plausible.SCALE] = Field(
+        description="Scale of the exponential disc [arcsec]"
+    )
     n_clumps: int = Field(ge=0, description="Number of clumps")
-    clump_sigma_arcsec: Interval = Field(description="Range of the clumps' widths [arcsec]")
+    clump_sigma_arcsec: Annotated[Interval, plausible.SCALE] = Field(
+        description="Range of the clumps' widths [arcsec]"
+    )
     seed: int = Field(ge=0, description="Seed of the clumps")
 
 
 class TruthBlock(Block):
     """The dark matter of the simulated observation, which the campaign should recover."""
 
-    m_th_kev: float = Field(gt=0, description="Thermal relic mass [keV]; .inf is cold dark matter")
-    log10_m_halo_msun: float = Field(ge=10, le=16, description="Host mass log10(M200c / Msun) at the lens")
+    m_th_kev: Annotated[float, plausible.RELIC] = Field(
+        gt=0, description="Thermal relic mass [keV]; .inf is cold dark matter"
+    )
+    log10_m_halo_msun: Annotated[float, plausible.HOST] = Field(
+        ge=10, le=16, description="Host mass log10(M200c / Msun) at the lens"
+    )
     seed: int = Field(ge=0, description="Seed of its subhalos and of the noise")
 
 
@@ -62,13 +84,15 @@ class SimulatedBlock(Block):
     """RXJ1131-like lens for kind: simulated; the halo stage draws its substructure."""
 
     shape: tuple[ImageSide, ImageSide] = Field(description="Pixels [y, x], centred on the lens")
-    pixel_scale_arcsec: Positive = Field(description="Side of a pixel [arcsec]")
+    pixel_scale_arcsec: Annotated[Positive, plausible.PIXEL] = Field(description="Side of a pixel [arcsec]")
     psf_pixels: int = Field(ge=3, le=MAX_SIDE, description="Side of the PSF images [pixels], odd")
     supersampling: int = Field(ge=1, le=8, description="Sub-pixels per pixel and axis of the true image")
     truth: TruthBlock
     lens: LensBlock
     lens_light: LensLightBlock
-    quasar_images: list[Point] = Field(description="Positions [x, y] of the quasar images [arcsec]")
+    quasar_images: Annotated[list[Point], plausible.POSITION] = Field(
+        description="Positions [x, y] of the quasar images [arcsec]"
+    )
     source: SimulatedSourceBlock
     bands: dict[BandName, SimulatedBandBlock] = Field(description="Each simulated band, by name")
 
@@ -102,21 +126,23 @@ class FitsBandBlock(Block):
     noise_correlation: str | None = Field(
         None, exclude_if=_is_none, description="Correlation of the noise: odd sides, offset 0 in the middle"
     )
-    blank_sky_arcsec: Positive | None = Field(
+    blank_sky_arcsec: Annotated[Positive | None, plausible.EXTENT] = Field(
         None,
         exclude_if=_is_none,
         description="Beyond this radius [arcsec] is only sky: the correlation of the noise between pixels "
         "(drizzling) is measured there and given to the mocks",
     )
     extension: int = Field(0, ge=0, description="Extension of the science image; others are in extension 0")
-    exposure_s: Positive | None = Field(
+    exposure_s: Annotated[Positive | None, plausible.EXPOSURE] = Field(
         None, description="Exposure time [s] for Poisson noise, without sigma and weight; replaces EXPTIME"
     )
-    background_rms: Positive | None = Field(
+    background_rms: Annotated[Positive | None, plausible.RMS] = Field(
         None, description="Background noise [e-/s per pixel], without sigma and weight; replaces BKGRMS"
     )
     units: Literal["electron/s"] | None = Field(None, description="Overrides the unit of the header: electron/s")
-    pixel_scale_arcsec: Positive | None = Field(None, description="Pixel side [arcsec], north up; instead of WCS")
+    pixel_scale_arcsec: Annotated[Positive | None, plausible.PIXEL] = Field(
+        None, description="Pixel side [arcsec], north up; instead of WCS"
+    )
     center_pixel: Point | None = Field(None, description="Origin of positions, [x, y] from 0; replaces CRPIX")
 
     @model_validator(mode="after")

@@ -33,6 +33,7 @@ Made by `make docs` from the types in `src/warmlens/config` and the values in `c
 `config.yaml` is read first, overlays change single keys: mappings are merged, lists are replaced whole.
 `warmlens validate --configfile mine.yaml` checks a configuration. Angles in arcsec, masses in Msun without h,
 fluxes in e-/s; positions in the frame x = West, y = North. `BAND` stands for the name of a band.
+A number that is not as `usually` says stops `validate` and every start, unless `unusual` lists its key.
 """
 
 
@@ -72,7 +73,8 @@ def _keys_below(block: Mapping[str, Any], models: Mapping[str, Any], above: KeyP
         default = None if key in required else json.dumps(node.get("default"))
         docstring = models[children[0][0]]["description"].splitlines()[0] if children else ""
         meaning = node.get("description", docstring.removesuffix("."))
-        yield Key(path, (name, key), _kind(node), default, bool(children), meaning)
+        usual = f", usually {node['usual']}" if "usual" in node else ""
+        yield Key(path, (name, key), _kind(node) + usual, default, bool(children), meaning)
         for model, by_band in children:
             yield from _keys_below(models[model], models, (*path, BAND) if by_band else path, model)
 

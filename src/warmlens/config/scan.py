@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, NonNegativeInt, model_validator
 
+from warmlens.config import plausible
+from warmlens.config.plausible import Usual
 from warmlens.config.types import (
     MAX_IN_FILE_NAMES,
     Ascending,
@@ -22,8 +24,10 @@ MIN_STEP_ARCSEC = 1e-4
 class PerturberBlock(Block):
     """Perturber of the scan: an isothermal deflection with a linear truncation."""
 
-    theta_e_arcsec: Positive = Field(description="Deflection of the perturber [arcsec]")
-    r_trunc_arcsec: Positive = Field(
+    theta_e_arcsec: Annotated[Positive, plausible.EINSTEIN_OF_PERTURBER] = Field(
+        description="Deflection of the perturber [arcsec]"
+    )
+    r_trunc_arcsec: Annotated[Positive, Usual(1e-3, 10, "arcsec", plausible.MAS)] = Field(
         description="The deflection is constant within this radius, 0 from twice this radius on [arcsec]"
     )
 
@@ -32,8 +36,10 @@ class NestedBlock(Block):
     """Shapelets at the source point of each position, in both fits; null: none."""
 
     n_max: int = Field(ge=0, le=12, description="Order of the shapelets")
-    ridge: Positive = Field(description="Gaussian prior, in units of the largest squared norm of their columns")
-    beta_range_arcsec: tuple[Positive, Positive] = Field(
+    ridge: Annotated[Positive, plausible.RIDGE] = Field(
+        description="Gaussian prior, in units of the largest squared norm of their columns"
+    )
+    beta_range_arcsec: Annotated[tuple[Positive, Positive], Usual(1e-4, 5, "arcsec", plausible.MAS)] = Field(
         description="Limits of their scale r_trunc / sqrt(mean magnification within r_trunc) [arcsec]"
     )
 
@@ -48,10 +54,10 @@ class NestedBlock(Block):
 class SensitivityBlock(Block):
     """Smallest perturber mass that would be seen; null: none; needs statistics: [delta_r, amplitude]."""
 
-    theta_e_arcsec: Annotated[list[Positive], Ascending] = Field(
+    theta_e_arcsec: Annotated[list[Positive], Ascending, plausible.EINSTEIN_OF_PERTURBER] = Field(
         min_length=1, description="Deflections to test [arcsec], ascending"
     )
-    delta_r: Positive = Field(description="-Delta R that counts as a detection")
+    delta_r: Annotated[Positive, Usual(0.1, 1e5)] = Field(description="-Delta R that counts as a detection")
 
 
 class ScanBlock(Block):
@@ -64,11 +70,13 @@ class ScanBlock(Block):
         description="Each image has its own best lens, to first order, under the priors of the smooth fit; "
         "false: the lens of the observation, as needed with smooth_model.mode: given",
     )
-    step_arcsec: Positive = Field(description="Step of the raster [arcsec]")
-    window_arcsec: tuple[Positive, Positive] | None = Field(
+    step_arcsec: Annotated[Positive, Usual(0.001, 2, "arcsec", plausible.MAS, plausible.DEGREES)] = Field(
+        description="Step of the raster [arcsec]"
+    )
+    window_arcsec: Annotated[tuple[Positive, Positive] | None, plausible.EXTENT] = Field(
         description="Width and height of the scanned window [arcsec]; null: box around unmasked pixels"
     )
-    center: Point = Field(description="Centre [x, y] of the window [arcsec]")
+    center: Annotated[Point, plausible.POSITION] = Field(description="Centre [x, y] of the window [arcsec]")
     shard_size: FileNumber = Field(description="Positions per job of the operator; each reads the design, 1.4 GB")
     residual_samples: list[NonNegativeInt] = Field(
         [], description="Samples whose R_smooth, R_pert and R_sens are written, besides the observation's"
@@ -108,11 +116,15 @@ class ScanBlock(Block):
 class SummariesBlock(Block):
     """Two-point correlation function and cumulative distribution of Delta R."""
 
-    threshold: Negative = Field(description="Only Delta R below this value counts")
-    max_separation_arcsec: Positive = Field(description="Largest separation of the correlation function [arcsec]")
-    cumulative_min: Negative = Field(description="Lowest Delta R of the cumulative distribution, up to threshold")
+    threshold: Annotated[Negative, plausible.DELTA_R] = Field(description="Only Delta R below this value counts")
+    max_separation_arcsec: Annotated[Positive, plausible.EXTENT] = Field(
+        description="Largest separation of the correlation function [arcsec]"
+    )
+    cumulative_min: Annotated[Negative, plausible.DELTA_R] = Field(
+        description="Lowest Delta R of the cumulative distribution, up to threshold"
+    )
     cumulative_bins: int = Field(ge=2, description="Number of values of the cumulative distribution")
-    count_thresholds: Annotated[list[Negative], Ascending] = Field(
+    count_thresholds: Annotated[list[Negative], Ascending, plausible.DELTA_R] = Field(
         [-25.0, -10.0, -4.0], min_length=1, description="Positions with Delta R below each are counted; ascending"
     )
 

@@ -6,6 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import AfterValidator, Field, NonNegativeInt, model_validator
 
+from warmlens.config import plausible
+from warmlens.config.plausible import Usual
 from warmlens.config.types import (
     Ascending,
     Block,
@@ -25,16 +27,22 @@ class ClumpsBlock(Block):
 
     number: int = Field(ge=0, le=200, description="Largest number of clumps")
     n_max: int = Field(ge=0, le=10, description="Order of each clump's shapelets")
-    threshold: Positive = Field(description="Significance of a residual peak, matched to the PSF")
-    scale_in_fwhm: Positive = Field(description="Scale in units of FWHM of the PSF / sqrt(magnification)")
+    threshold: Annotated[Positive, Usual(0.5, 100, "sigma")] = Field(
+        description="Significance of a residual peak, matched to the PSF"
+    )
+    scale_in_fwhm: Annotated[Positive, Usual(0.02, 10)] = Field(
+        description="Scale in units of FWHM of the PSF / sqrt(magnification)"
+    )
 
 
 class SourceBlock(Block):
     """Shapelet basis of the source, common to all bands."""
 
     n_max: int = Field(ge=0, le=80, description="Order: (n_max + 1)(n_max + 2) / 2 shapelets")
-    beta_arcsec: Positive = Field(description="Scale [arcsec]; a fit starts there, see fit.source_beta")
-    center: Point | Literal["quasars"] = Field(
+    beta_arcsec: Annotated[Positive, plausible.SCALE] = Field(
+        description="Scale [arcsec]; a fit starts there, see fit.source_beta"
+    )
+    center: Annotated[Point | Literal["quasars"], plausible.POSITION] = Field(
         description="Point [x, y] in the source plane [arcsec], or quasars: their mean source position"
     )
     supersampling: int = Field(ge=1, le=8, description="Sub-pixels per pixel and axis of the source")
@@ -80,8 +88,8 @@ class PotentialShapeletsBlock(Block):
     """Shapelets of the lens potential about the first model's centre; they start from 0."""
 
     number: Literal[0, 1, 3, 6, 10, 15, 21, 28, 36, 45, 55] = Field(description="Number (paper: 0, 10 and 21)")
-    beta_arcsec: Positive = Field(description="Scale of the shapelets [arcsec]")
-    sigma: Positive = Field(description="Width of the Gaussian prior of each amplitude")
+    beta_arcsec: Annotated[Positive, plausible.EXTENT] = Field(description="Scale of the shapelets [arcsec]")
+    sigma: Annotated[Positive, Usual(1e-6, 5)] = Field(description="Width of the Gaussian prior of each amplitude")
 
 
 class SearchBlock(Block):
@@ -96,9 +104,13 @@ class PsfFitBlock(Block):
     """Correction of the PSF on the quasar images (workflow/configs/hst.yaml); null: none."""
 
     iterations: int = Field(ge=1, le=20, description="Number of corrections, each followed by a fit")
-    radius_arcsec: Positive = Field(description="The kernel is corrected within this radius [arcsec]")
-    relative_sigma: Positive = Field(description="Prior of a pixel's correction, as a fraction of the PSF there")
-    wing_radii_arcsec: Interval = Field(
+    radius_arcsec: Annotated[Positive, plausible.SCALE] = Field(
+        description="The kernel is corrected within this radius [arcsec]"
+    )
+    relative_sigma: Annotated[Positive, Usual(0.001, 10, "", plausible.PERCENT)] = Field(
+        description="Prior of a pixel's correction, as a fraction of the PSF there"
+    )
+    wing_radii_arcsec: Annotated[Interval, plausible.RADIUS] = Field(
         description="Radii between which the kernel turns into a smoothed one [arcsec]"
     )
     unknown_fraction: Fraction = Field(
@@ -117,9 +129,13 @@ class FitBlock(Block):
         description="[lens model, light model] that share a centre"
     )
     potential_shapelets: PotentialShapeletsBlock
-    quasar_sigma_arcsec: Positive = Field(description="Prior width of the quasar images' positions [arcsec]")
-    tie_arcsec: Positive = Field(description="Quasar images trace to one source point within this [arcsec]")
-    source_beta: FreeRange | None = Field(
+    quasar_sigma_arcsec: Annotated[Positive, plausible.PRECISION] = Field(
+        description="Prior width of the quasar images' positions [arcsec]"
+    )
+    tie_arcsec: Annotated[Positive, plausible.PRECISION] = Field(
+        description="Quasar images trace to one source point within this [arcsec]"
+    )
+    source_beta: Annotated[FreeRange | None, plausible.SCALE] = Field(
         description="Source scale: range and prior [arcsec]; null fixes it, favouring a mass sheet"
     )
     search: SearchBlock | None
@@ -140,22 +156,32 @@ class SmoothModelBlock(Block):
     )
     lens: LensBlock = Field(description="Lens in lenstronomy's names; a fit starts its potential shapelets from 0")
     lens_light: LensLightBlock
-    quasar_images: list[Point] = Field(description="Quasar images [x, y] [arcsec]; [] if the lens has none")
+    quasar_images: Annotated[list[Point], plausible.POSITION] = Field(
+        description="Quasar images [x, y] [arcsec]; [] if the lens has none"
+    )
     noise_from: Literal["model", "data"] = Field(
         description="Poisson noise of the model image or of the data (biased by its noise), without a map"
     )
-    quasar_variance_fraction: NonNegative = Field(description="Adds (this * quasar flux)^2 to a pixel's variance")
-    quasar_core_arcsec: NonNegative = Field(
+    quasar_variance_fraction: Annotated[NonNegative, Usual(0, 1, "", plausible.PERCENT)] = Field(
+        description="Adds (this * quasar flux)^2 to a pixel's variance"
+    )
+    quasar_core_arcsec: Annotated[NonNegative, plausible.RADIUS] = Field(
         description="Radius about each quasar image that chi2_red of the gate leaves out [arcsec]"
     )
-    disc_arcsec: Positive | None = Field(
+    disc_arcsec: Annotated[Positive | None, plausible.EXTENT] = Field(
         description="Only pixels within this distance of the lens are used [arcsec]; null: all"
     )
-    lens_core_mask_arcsec: NonNegative = Field(description="Pixels nearer to the lens are masked [arcsec]")
+    lens_core_mask_arcsec: Annotated[NonNegative, plausible.RADIUS] = Field(
+        description="Pixels nearer to the lens are masked [arcsec]"
+    )
     fit_background: bool = Field(description="Fit a constant level per band")
     source: SourceBlock
-    ridge: Positive = Field(description="Weak Gaussian prior on the amplitudes of the unit-norm columns")
-    chi2_red_range: Interval = Field(description="Above is an error, below a warning in the report")
+    ridge: Annotated[Positive, plausible.RIDGE] = Field(
+        description="Weak Gaussian prior on the amplitudes of the unit-norm columns"
+    )
+    chi2_red_range: Annotated[Interval, Usual(0, 20)] = Field(
+        description="Above is an error, below a warning, far below an error"
+    )
     allow_poor_fit: bool = Field(description="Only warn if a fit is at a limit, off the gate or not converged")
     fit: FitBlock | None = None
 

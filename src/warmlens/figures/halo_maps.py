@@ -26,6 +26,7 @@ from warmlens.products.observation import read_observation
 from warmlens.types import FloatArray
 
 _GRID = PixelGrid.centred((160, 160), 0.025)  # 4" x 4", as the paper's
+_EMPTY_LIMIT = 1.0e-6  # arcsec, where no sample has subhalos
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def draw_masses(data: SampleMaps) -> Figure:
 
 def draw_deflections(data: SampleMaps) -> Figure:
     """Draw one panel per sample, on one scale about zero."""
-    limit = max(float(np.abs(alpha).max()) for alpha in data.maps)
+    limit = max(float(np.abs(alpha).max()) for alpha in data.maps) or _EMPTY_LIMIT
     label = r"$\Delta\alpha_x$ [arcsec]"
     return _draw_panels(data, lambda ax, alpha: draw_diverging(ax, alpha, data.grid, limit), label)
 

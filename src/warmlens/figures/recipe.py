@@ -34,14 +34,16 @@ class Recipe(Generic[SourceT, DataT]):
     draw: Callable[[DataT], Figure]
     tabulate: Callable[[DataT], pd.DataFrame]
 
-    def write(self, source: SourceT, output: Path) -> None:
-        """Write the picture as .png, .pdf or .svg, and its data as CSV beside it."""
+    def write(self, source: SourceT, output: Path, title: str = "") -> None:
+        """Write the picture as .png, .pdf or .svg under a title, and its data as CSV beside it."""
         kind = output.suffix.removeprefix(".")
         if kind not in ("png", "pdf", "svg"):
             raise ValueError(f"output {output} must end in .png, .pdf or .svg")
         with house_style():
             data = self.read(source)
             figure = self.draw(data)
+            if title:
+                figure.suptitle(title, fontsize=8.5, x=0.01, ha="left")
             with atomic_path(output.with_suffix(".csv")) as temporary:
                 self.tabulate(data).to_csv(temporary, index=False, float_format=_DIGITS)
             with atomic_path(output) as temporary:

@@ -13,7 +13,7 @@ mpl.use("agg")
 
 import pandas as pd
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.file import ArtifactError, open_artifact
 from warmlens.campaign.derived import drawn_figures, figure_files, record_made
 from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config
@@ -37,6 +37,7 @@ from warmlens.figures import (
 )
 from warmlens.figures.inputs import Inputs, find_inputs
 from warmlens.figures.recipe import Recipe, panel_table
+from warmlens.text import MEANING
 
 logging.getLogger("fontTools").setLevel(logging.WARNING)  # it reports every glyph of a PDF
 
@@ -71,7 +72,8 @@ FROM_CONFIG: dict[str, Recipe[Config, Any]] = {
 
 def write_from_artifacts(name: str, inputs: Inputs, output: Path) -> None:
     """Write a figure of given artifacts and its data."""
-    _recipe(name).write(inputs, output)
+    recipe = _recipe(name)
+    recipe.write(inputs, output, _verdict(inputs))
 
 
 def write_from_results(name: str, results: Sequence[Path], output: Path) -> None:
@@ -79,8 +81,8 @@ def write_from_results(name: str, results: Sequence[Path], output: Path) -> None
 
     One of the campaign's own figures gets a ledger.
     """
-    recipe = _recipe(name)
-    recipe.write(find_inputs(name, results), output)
+    _recipe(name)  # refuses a name that is none
+    write_from_artifacts(name, find_inputs(name, results), output)
     config = read_campaign(results[0])
     if name in drawn_figures(config) and output.resolve() == figure_files(config, name)[0].resolve():
         record_made(config, name)
@@ -89,6 +91,15 @@ def write_from_results(name: str, results: Sequence[Path], output: Path) -> None
 def write_from_config(name: str, config: Config, output: Path) -> None:
     """Write a figure that needs no campaign and its data."""
     FROM_CONFIG[name].write(config, output)
+
+
+def _verdict(inputs: Inputs) -> str:
+    """Return the verdict on the bound that a figure shows; "" for a figure of something else."""
+    if "abc" not in inputs:
+        return ""
+    with open_artifact(inputs["abc"], "abc") as artifact:
+        verdict = artifact.metadata["verdict"]
+    return f"{verdict}: {MEANING[verdict]}"
 
 
 def _recipe(name: str) -> Recipe[Inputs, Any]:

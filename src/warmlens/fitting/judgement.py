@@ -21,6 +21,7 @@ from warmlens.imaging.noise_correlation import autocorrelation, neighbours
 from warmlens.imaging.observation import Band, Observation
 from warmlens.types import BoolArray, FloatArray
 
+_FAR_BELOW = 2.0  # distances of the lower end of chi2_red_range from 1, at least 0.1: lower by that is refused
 _SMALL_DEFLECTION = 0.001  # arcsec, the rms of what substructure adds
 # Noise deviations by which it may change a pixel, if by more than the arc's own light: beyond the first a warning
 _UNRESOLVED_RESPONSE, _REFUSED_RESPONSE = 3.0, 30.0
@@ -31,9 +32,10 @@ _BRIGHT_EXCESS, _BRIGHT_SIGNIFICANCE = 1.1, 5.0  # chi2 per pixel of bright arcs
 
 @dataclass(frozen=True)
 class Judgement:
-    """Warnings of an accepted fit, and the correlation function of each band's residuals in units of the noise."""
+    """Problems of a poor fit that was allowed, notes, and the correlation of each band's residuals [sigma^2]."""
 
-    warnings: list[str]
+    problems: list[str]
+    notes: list[str]
     residual_correlation: dict[str, FloatArray]
 
 
@@ -59,8 +61,8 @@ def judge_fit(block: SmoothModelBlock, observed: Observation, fitted: LensFit, m
     Raises
     ------
     ConfigError
-        If the fit did not converge, hit a limit, left chi2_red above the gate or has a source far finer than
-        rays resolve, and `smooth_model.allow_poor_fit` is false.
+        If the fit did not converge, hit a limit, left chi2_red above the gate or far below it or has a source
+        far finer than rays resolve, and `smooth_model.allow_poor_fit` is false.
     """
     residuals = {band.name: band_residuals(band, model, fitted.outside_cores) for band in observed.bands}
     correlation = {name: autocorrelation(band.pull, band.used) for name, band in residuals.items()}
@@ -72,12 +74,16 @@ def judge_fit(block: SmoothModelBlock, observed: Observation, fitted: LensFit, m
         for name, value in chi2_red.items()
         if value > high
     ]
-    notes = [
-        f"{name}: chi2_red = {value:.2f} of the smooth model lies below {low:g}: the noise "
-        "is overestimated, or the model follows it"
-        for name, value in chi2_red.items()
-        if value < low
-    ]
+    lowest = low - _FAR_BELOW * max(abs(1.0 - low), 0.1)
+    notes: list[str] = []
+    for name, value in chi2_red.items():
+        noise_only = model.fits[name].chi2_red_noise_only  # whatever error of the PSF was assumed beside the noise
+        if value < low:
+            (problems if noise_only < lowest else notes).append(
+                f"{name}: chi2_red = {value:.2f} of the smooth model lies {'far ' * (noise_only < lowest)}below "
+                f"{low:g}: the noise is overestimated, or the model follows it"
+                + ("; compare it with the scatter of the sky (warmlens validate)" * (noise_only < lowest))
+            )
     for name in model.fits:
         changes = unresolved_pixels(observed, model, name)
         if changes.size:
@@ -94,7 +100,7 @@ def judge_fit(block: SmoothModelBlock, observed: Observation, fitted: LensFit, m
         notes += _correlation_beyond_noise(band, correlation[band.name])
     for band in fits_well:
         notes += _misfit_of_bright_arcs(band.name, chi2_of_arcs(model, band.name, residuals[band.name]))
-    return Judgement(problems + notes, correlation)
+    return Judgement(problems, notes, correlation)
 
 
 def band_residuals(band: Band, model: SmoothModel, outside_cores: BoolArray) -> Residuals:

@@ -280,7 +280,9 @@ def usable_pixels(block: SmoothModelBlock, grid: PixelGrid) -> BoolArray:
     """Return the pixels within the disc of the fit and outside the masked core of the lens [ny, nx]."""
     kwargs = block.lens.kwargs_lens[0] if block.lens.kwargs_lens else {}
     x, y = grid.coordinates()
-    distance = np.hypot(x - kwargs.get("center_x", 0.0), y - kwargs.get("center_y", 0.0))
+    distance = np.hypot(x - kwargs.get("center_x", 0.0), y - kwargs.get("center_y", 0.0)).round(
+        9
+    )  # ties stay ties
     outer = np.inf if block.disc_arcsec is None else block.disc_arcsec
     return (distance <= outer) & (distance >= block.lens_core_mask_arcsec)
 
@@ -288,5 +290,5 @@ def usable_pixels(block: SmoothModelBlock, grid: PixelGrid) -> BoolArray:
 def outside_cores(block: SmoothModelBlock, grid: PixelGrid, quasars: FloatArray) -> BoolArray:
     """Return the pixels [ny, nx] farther than `quasar_core_arcsec` from every quasar image at positions [n, 2]."""
     x, y = grid.coordinates()
-    near = [np.hypot(x - qx, y - qy) < block.quasar_core_arcsec for qx, qy in quasars]
+    near = [np.hypot(x - qx, y - qy).round(9) < block.quasar_core_arcsec for qx, qy in quasars]
     return ~np.any(near, axis=0) if near else np.ones(grid.shape, dtype=bool)

@@ -70,7 +70,7 @@ class HaloGenerator:
         m_th_kev
             Mass of the thermal relic [keV], > 0; inf for cold dark matter.
         m_halo_msun
-            M200c of the host at the redshift of the lens [Msun]; more than twice the resolution.
+            M200c of the host at the redshift of the lens [Msun]; up to twice the resolution it has no subhalos.
         half_width_arcsec
             Half the side of the square field whose subhalos are kept [arcsec].
         """

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
-from numba import njit
 
 from warmlens.halos.power_spectrum import SharpKVariance
 from warmlens.halos.tree_walk import walk_branch
+from warmlens.kernels import njit
 from warmlens.types import FloatArray
 
 Branching = tuple[float, float, float, float]

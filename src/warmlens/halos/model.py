@@ -107,6 +107,8 @@ class HaloModel:
                 raise ValueError(f"{name} must be one of {names}, got {getattr(self, name)!r}")
         if len(self.branching) != 4 or not all(map(math.isfinite, self.branching)):
             raise ValueError(f"branching must be four finite numbers, got {self.branching!r}")
+        if not self.branching[1] < 1.0:
+            raise ValueError(f"gamma1 of branching must be < 1, got {self.branching[1]!r}")
         for field in dataclasses.fields(self):
             if not isinstance(field.default, float):
                 continue

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -131,12 +132,16 @@ class HaloPopulation:
             raise ValueError(f"resolution_msun of {dark_matter.label} must be finite and >= 0, got {resolution!r}")
         return max(resolution, self.model.min_mass_msun)
 
+    def lightest_host_msun(self, dark_matter: DarkMatter) -> float:
+        """Return the mass [Msun] up to which a host has no two progenitors above the resolution."""
+        return 2.0 * self.resolution_msun(dark_matter)
+
     def tree(self, dark_matter: DarkMatter, m_halo_msun: float, rng: np.random.Generator) -> MergerTree:
-        """Draw the merger tree alone; parameters as in `draw`."""
-        resolution = self.resolution_msun(dark_matter)
-        if not 2.0 * resolution < m_halo_msun < math.inf:
+        """Draw the merger tree alone; parameters as in `draw`, for a host above `lightest_host_msun`."""
+        resolution, lightest = self.resolution_msun(dark_matter), self.lightest_host_msun(dark_matter)
+        if not lightest < m_halo_msun < math.inf:
             raise ValueError(
-                f"m_halo_msun must be finite and exceed {2.0 * resolution:.6g} Msun, twice the resolution "
+                f"m_halo_msun must be finite and exceed {lightest:.6g} Msun, twice the resolution "
                 f"for {dark_matter.label}, got {m_halo_msun!r}"
             )
         model, clock = self.model, self.cosmology.collapse_clock
@@ -151,7 +156,9 @@ class HaloPopulation:
         return grow_tree(table, float(clock(self.z_root)), float(clock(model.z_max)), rng)
 
     def draw(self, dark_matter: DarkMatter, m_halo_msun: float, rng: np.random.Generator) -> WholeHalo:
-        """Draw one halo of mass M200c at z_root [Msun], which must exceed twice the resolution."""
+        """Draw one halo of mass M200c at z_root [Msun]; up to `lightest_host_msun` it has no subhalos."""
+        if 0.0 < m_halo_msun <= self.lightest_host_msun(dark_matter):
+            return _without_subhalos(m_halo_msun, self.z_root)
         model = self.model
         tree = self.tree(dark_matter, m_halo_msun, rng)
         ln_a = -np.log1p(self.cosmology.clock_to_redshift(tree.clock_acc))
@@ -240,6 +247,14 @@ class HaloPopulation:
 
     def _tabulate_variance(self, dark_matter: DarkMatter) -> SharpKVariance:
         return filtered_variance(dark_matter.transfer, self._spectrum, self.cosmology, self.model.sharp_k_a)
+
+
+def _without_subhalos(m_halo_msun: float, z_root: float) -> WholeHalo:
+    """Return the limit of `HaloPopulation.draw` at `lightest_host_msun`: a tree that ends at its root."""
+    of_subhalos = (*(field.name for field in fields(SubhaloStructure)), "circularity", "radius_kpc")
+    values: dict[str, Any] = {name: np.empty(0) for name in of_subhalos}
+    values |= dict.fromkeys(("n_accreted", "n_friction", "n_stripped_below", "tree_steps"), 0)
+    return WholeHalo(**values, m_halo_msun=m_halo_msun, z_root=z_root, z_half=z_root)
 
 
 def _cold_concentration(model: HaloModel, cosmology: Cosmology) -> ConcentrationRelation:

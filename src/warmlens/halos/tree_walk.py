@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from warmlens.kernels import njit
 
 TRUNK_RESOLUTION = 5.0e-4  # change of ln M between stored points of a branch
 

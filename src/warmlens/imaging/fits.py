@@ -12,8 +12,8 @@ from typing import IO
 
 import numpy as np
 from astropy.io import fits
-from astropy.wcs import WCS, FITSFixedWarning
 
+from warmlens.imaging.sky import DISTORTION
 from warmlens.types import FloatArray
 
 _BLOCK = 2880  # bytes; headers and data fill whole blocks
@@ -24,13 +24,13 @@ _GZIP = b"\x1f\x8b"
 # Cards that declare sizes: in any spelling, and in the only one that is accepted.
 _STRUCTURE = re.compile(rb"\s*(HIERARCH\s+)?(BITPIX|NAXIS\d*|PCOUNT|GCOUNT|TFIELDS)\b", re.IGNORECASE)
 _STRUCTURE_CARD = re.compile(rb"(BITPIX|NAXIS\d{0,3}|PCOUNT|GCOUNT|TFIELDS) *= +(-?\d{1,18}) *(/.*)?", re.DOTALL)
-_PIXEL_ARCSEC = (1e-4, 60.0)
 _BITPIX = (8, 16, 32, 64, -32, -64)
-# Only these keywords are kept. The linear part of a WCS is enough for the scale and the orientation.
+# Only these keywords are kept: units, noise, and all that the WCS of an image of two axes can have. Cards of more
+# axes, which a parser makes room for, and of projections with more parameters than there are, are left out.
 _KEPT = re.compile(
-    r"BUNIT|EXPTIME|BKGRMS|RADESYS|EQUINOX|WCSAXES|(CTYPE|CUNIT|CRVAL|CRPIX|CDELT|CROTA)[12]|(CD|PC)[12]_[12]"
+    r"BUNIT|EXPTIME|BKGRMS|RADEC?SYS|EQUINOX|EPOCH|WCSAXES|LONPOLE|LATPOLE"
+    r"|(CTYPE|CUNIT|CRVAL|CRPIX|CDELT|CROTA)[12]|(CD|PC)[12]_[12]|PC00[12]00[12]|P[VS][12]_[1-3]?\d"
 )
-_DISTORTION = re.compile(r"[AB]_ORDER|CPDIS[12]|D2IMDIS[12]|DET2IM[12]")
 
 
 class _UnsuitableError(ValueError):
@@ -140,41 +140,8 @@ def _not_an_image(extension: int, content: str) -> _UnsuitableError:
 def _kept_header(header: fits.Header, primary: fits.Header) -> fits.Header:
     kept = fits.Header()
     for keyword in header:
-        if _KEPT.fullmatch(keyword) or _DISTORTION.fullmatch(keyword):
+        if _KEPT.fullmatch(keyword) or DISTORTION.fullmatch(keyword):
             kept[keyword] = header[keyword]
     if "EXPTIME" not in kept and "EXPTIME" in primary:  # as in drizzled HST images
         kept["EXPTIME"] = primary["EXPTIME"]
     return kept
-
-
-def sky_steps(path: Path, header: fits.Header) -> tuple[FloatArray, tuple[float, float]]:
-    """Return the sky step (x West, y North) [arcsec] of a column and a row as a 2x2 matrix, and 0-based CRPIX.
-
-    Raises
-    ------
-    ValueError
-        If the header has no celestial WCS, a singular one, or one with distortion.
-    """
-    instead = "set observation.fits.BAND.pixel_scale_arcsec and center_pixel"
-    if any(_DISTORTION.fullmatch(keyword) for keyword in header):
-        raise ValueError(f"{path}: its WCS has distortion; resample the image (drizzle), or {instead}")
-    if not header.get("WCSAXES", 2) == 2:
-        raise ValueError(f"{path}: its WCS has {header['WCSAXES']} axes, expected 2; {instead}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", FITSFixedWarning)
-            wcs = WCS(header)
-        celestial = wcs.celestial if wcs.has_celestial else None
-        east_north = None if celestial is None else celestial.pixel_scale_matrix * 3600.0
-    except MemoryError:
-        raise
-    except Exception as error:  # wcslib's errors are of many classes
-        reason = " ".join(str(error).split())[:300]
-        raise ValueError(f"{path}: its WCS cannot be used ({reason}); {instead}") from error
-    if celestial is None or east_north is None:
-        raise ValueError(f"{path}: no celestial WCS; {instead}")
-    sides = np.hypot(*east_north)
-    if not all(_PIXEL_ARCSEC[0] <= side <= _PIXEL_ARCSEC[1] for side in sides):
-        raise ValueError(f"{path}: its WCS gives pixels of {sides[0]:g} x {sides[1]:g} arcsec; {instead}")
-    column, row = celestial.wcs.crpix - 1.0
-    return np.array([[-1.0], [1.0]]) * east_north, (float(column), float(row))

@@ -11,14 +11,16 @@ from scipy import fft, ndimage, special
 from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray
 
+MAX_OFFSET_PIXELS = 0.4  # of the core from the middle of the PSF: half a pixel is refused
+_CORE_HALF, _CORE_STEPS, _FINE = 8, 30, 40  # pixels, iterations, and steps of the spline
 _SPLINE_MARGIN = 12  # pixels after which a cubic cardinal spline has fallen below 2e-7
 
 
 def validate_psf(psf: FloatArray, name: str) -> FloatArray:
     """Return the PSF normalised to sum 1, or raise a `ValueError` that names it by band or path.
 
-    It must be a square image of a point source with an odd size, centred on its middle pixel. Slightly negative
-    wings, as of an empirical PSF, are allowed.
+    It must be a square image of a point source with an odd size, its core within 0.4 pixels of the middle pixel's
+    centre. Slightly negative wings, as of an empirical PSF, are allowed.
     """
     psf = np.asarray(psf, dtype=np.float64)
     if psf.ndim != 2 or psf.shape[0] != psf.shape[1]:
@@ -44,7 +46,44 @@ def validate_psf(psf: FloatArray, name: str) -> FloatArray:
             f"PSF {name}: brightest pixel at [y, x] = [{peak[0]}, {peak[1]}], expected the middle pixel "
             f"[{middle}, {middle}] or a neighbour of it; recentre the PSF"
         )
+    offset = core_offset(psf)
+    if math.hypot(*offset) > MAX_OFFSET_PIXELS:
+        raise ValueError(
+            f"PSF {name}: its core lies {offset[0]:+.2f} columns and {offset[1]:+.2f} rows off the middle of the "
+            f"middle pixel, at most {MAX_OFFSET_PIXELS:g} pixels are accepted: all positions would be off by as "
+            f"much; recentre the PSF (scipy.ndimage.shift by [y, x] = [{-offset[1]:.2f}, {-offset[0]:.2f}])"
+        )
     return psf / total
+
+
+def core_offset(psf: FloatArray) -> tuple[float, float]:
+    """Return how far the core of a PSF lies from its middle pixel, (columns, rows) [pixel].
+
+    The nearer of two estimates: the centroid under a Gaussian of the core's own width, which moves with it, and
+    the peak of the interpolating spline. Wings that are not symmetric move neither, coma hardly the first.
+    """
+    middle = psf.shape[0] // 2
+    half = min(middle, _CORE_HALF)
+    core = psf[middle - half : middle + half + 1, middle - half : middle + half + 1] / psf.max()
+    rows, columns = np.mgrid[-half : half + 1, -half : half + 1].astype(np.float64)
+    peak = np.unravel_index(int(np.argmax(core)), core.shape)
+    centroid = np.array([columns[peak], rows[peak]])
+    width = max(0.5, fwhm(psf, 1.0) / math.sqrt(8.0 * math.log(2.0)))
+    for _ in range(_CORE_STEPS):
+        distance2 = (columns - centroid[0]) ** 2 + (rows - centroid[1]) ** 2
+        weight = np.maximum(core, 0.0) * np.exp(-0.5 * distance2 / width**2)
+        if not weight.sum() > 0.0:  # it has left the light: no core
+            break
+        # a Gaussian core under its own Gaussian moves the centroid half of the way
+        moved = [np.sum(weight * (axis - c)) for axis, c in zip((columns, rows), centroid, strict=True)]
+        centroid += 2.0 * np.array(moved) / weight.sum()
+        centroid = np.clip(centroid, -half, half)
+    fine = np.arange(-_FINE, _FINE + 1) / _FINE * min(half, 2.0)
+    grid_rows, grid_columns = np.meshgrid(fine, fine, indexing="ij")
+    spline = ndimage.map_coordinates(core, [grid_rows + half, grid_columns + half], order=3, mode="nearest")
+    top = np.unravel_index(int(np.argmax(spline)), spline.shape)
+    estimates = [(float(centroid[0]), float(centroid[1])), (float(fine[top[1]]), float(fine[top[0]]))]
+    return min(estimates, key=lambda offset: math.hypot(*offset))
 
 
 class Convolution:

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from warmlens.kernels import njit
 from warmlens.types import FloatArray
 
 DARK_BEYOND = 8.0  # u past the turning point sqrt(2 n + 1) of phi_n where it has fallen below 1e-17

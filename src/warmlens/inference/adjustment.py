@@ -18,11 +18,13 @@ from scipy.special import expit, logit
 
 from warmlens.inference.bootstrap import Counts, reached
 from warmlens.inference.bound import TooFewError
+from warmlens.inference.memory import row_batches
 from warmlens.types import BoolArray, FloatArray
 
 MIN_FOR_REGRESSION = 100
 SAMPLES_PER_COMPONENT = 20
 RIDGE = 1e-3
+_MAX_PRODUCTS = 32_000_000  # of an array for all fits at once, 256 MB; above it is one fit after the other
 
 
 @dataclass(frozen=True)
@@ -138,6 +140,20 @@ def adjusted_quantiles_of_counts(
     """
     used = counts.any(axis=0)
     values, scores, distances, counts = values[used], scores[used], distances[:, used], counts[:, used]
+    batches = row_batches(*counts.shape)
+    return np.concatenate(
+        [_adjusted_quantiles(values, value_range, scores, distances, counts[batch], levels) for batch in batches]
+    )
+
+
+def _adjusted_quantiles(
+    values: FloatArray,
+    value_range: tuple[float, float],
+    scores: FloatArray,
+    distances: FloatArray,
+    counts: Counts,
+    levels: FloatArray,
+) -> FloatArray:
     nearness = np.zeros(counts.shape)
     for distance in distances:
         cut = np.where(counts > 0, distance, 0.0).max(axis=1, keepdims=True)
@@ -169,7 +185,11 @@ def _regress(weights: FloatArray, scores: FloatArray, y: FloatArray) -> FloatArr
     """Return intercept and slopes of a ridge regression per row of weights [n_fits, 1 + n_components, n_y]."""
     design = np.column_stack([np.ones(len(scores)), scores])
     size, total = design.shape[1], weights.sum(axis=1)[:, None, None]
-    normal = (weights @ (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)).reshape(-1, size, size)
+    if len(design) * size**2 <= _MAX_PRODUCTS:
+        products = (design[:, :, None] * design[:, None, :]).reshape(len(design), -1)
+        normal = (weights @ products).reshape(-1, size, size)
+    else:
+        normal = np.stack([design.T @ (weight[:, None] * design) for weight in weights])
     right = (weights @ (design[:, :, None] * y[:, None, :]).reshape(len(design), -1)).reshape(-1, size, y.shape[1])
     penalty = RIDGE * np.eye(size)
     penalty[0, 0] = 0.0

@@ -41,7 +41,6 @@ from warmlens.inference.priors import reweightings
 from warmlens.inference.table import Table
 from warmlens.types import FloatArray
 
-MIN_TABLE = 100
 Streams = Callable[[str], np.random.Generator]
 
 
@@ -52,8 +51,16 @@ class Calibration:
     overall: dict[str, Coverage]  # coverage at every level of `LEVELS`
     by_mass: dict[str, Coverage]  # coverage of the headline in bins of the true mass
     ranks: dict[str, RankTest]  # rank tests of the parameters m_th_kev and log10_m_halo_msun
-    # Whether the headline's coverage agrees with the nominal one and the ranks of m_th_kev are uniform
-    passed: bool
+    # Whether the coverage of the headline is nominal, neither more nor less, and the ranks of m_th_kev are uniform
+    exact: bool
+
+    @property
+    def passed(self) -> bool | None:
+        """Whether the headline is no stronger than it claims; None if fewer than `MIN_ROWS` rows can tell."""
+        covered = self.overall[HEADLINE]
+        if covered.too_low:
+            return False
+        return True if covered.n >= MIN_ROWS else None
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ class Adjusted:
     values, weights, n_components
         As in `adjustment.Adjustment`, of the parameters [k, 2].
     valid
-        Whether its own calibration passed on at least `MIN_ROWS` rows; otherwise it must not be quoted.
+        Whether its own calibration is exact on at least `MIN_ROWS` rows; otherwise it must not be quoted.
     """
 
     bounds_kev: dict[str, float]
@@ -101,7 +108,7 @@ class Analysis:
     adjusted: Adjusted | None
     adjusted_calibration: Calibration | None
     no_adjustment: str
-    warnings: tuple[str, ...] = ()  # what a reader must know before quoting the headline, most serious first
+    warnings: tuple[str, ...] = ()  # of the table and its calibration; `verdict` has what decides about the bound
 
     @property
     def n_rows(self) -> int:
@@ -202,9 +209,9 @@ def _other_priors(
 def _calibration(bounds: FloatArray, pit: FloatArray, truth: FloatArray, rng: np.random.Generator) -> Calibration:
     overall = {name: coverage(bounds[:, i], truth[:, 0], level) for i, (name, level) in enumerate(LEVELS.items())}
     ranks = {name: rank_test(pit[:, i], rng) for i, name in enumerate(("m_th_kev", "log10_m_halo_msun"))}
-    passed = overall[HEADLINE].nominal_inside and ranks["m_th_kev"].ks_p > MIN_KS_P
+    exact = overall[HEADLINE].nominal_inside and ranks["m_th_kev"].ks_p > MIN_KS_P
     by_mass = coverage_by_mass(bounds[:, HEADLINE_INDEX], truth[:, 0], LEVELS[HEADLINE])
-    return Calibration(overall, by_mass, ranks, passed)
+    return Calibration(overall, by_mass, ranks, exact)
 
 
 def _adjusted(
@@ -230,23 +237,18 @@ def _adjusted(
     bounds = weighted_quantile(moved.values[:, 0], moved.weights, LEVEL_VALUES)
     replicates = convergence.adjusted_replicates
     errors = np.full(len(LEVELS), np.nan) if replicates is None else replicates.std(axis=0, ddof=1)
-    valid = calibration is not None and calibration.passed and n_rows >= MIN_ROWS
+    valid = calibration is not None and calibration.exact and n_rows >= MIN_ROWS
     bounds_kev = dict(zip(LEVELS, map(float, bounds), strict=True))
     errors_kev = dict(zip(LEVELS, map(float, errors), strict=True))
     return Adjusted(bounds_kev, errors_kev, moved.values, moved.weights, moved.n_components, valid), ""
 
 
 def _warnings(table: Table, analysis: Analysis) -> list[str]:
-    """List what to know before quoting the headline, most serious first."""
-    warnings = list(analysis.cloud.warnings)
-    warnings += analysis.bounds[HEADLINE].warnings
-    if table.n < MIN_TABLE:
-        warnings.append(f"the table has {table.n} samples only (fewer than {MIN_TABLE})")
+    """List what to know of the table and its calibration beside the verdict on the bound."""
+    warnings = []
     if np.ptp(table.log10_mass) == 0.0:
         warnings.append(f"all samples have the halo mass 10^{table.log10_mass[0]:g} Msun: nothing is marginalised")
     covered = analysis.calibration.overall[HEADLINE]
-    if covered.n < MIN_ROWS:
-        warnings.append(f"calibrated on {covered.n} rows only (fewer than {MIN_ROWS})")
     if not covered.nominal_inside:
         side = "too seldom: the bound is too strong" if covered.high < covered.nominal else "too often: it is weak"
         warnings.append(

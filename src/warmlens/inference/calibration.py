@@ -14,6 +14,7 @@ from warmlens.inference.acceptance import accept, number_accepted, reduce_distan
 from warmlens.inference.adjustment import MIN_FOR_REGRESSION, adjust
 from warmlens.inference.bootstrap import quantiles_of_counts
 from warmlens.inference.bound import LEVEL_VALUES, weighted_quantile
+from warmlens.inference.memory import row_batches
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray, IntArray
 
@@ -22,6 +23,7 @@ CDM_LIKE_KEV = 4.5
 MASS_BINS_KEV = {"below 2 keV": (0.0, 2.0), "2 to 3 keV": (2.0, 3.0), "above 3 keV": (3.0, np.inf)}
 MIN_KS_P = 0.01
 CONFIDENCE = 0.95
+TOO_LOW_P = 1e-3  # probability of so few covered truths, below which the bound is too strong
 BATCH = 100
 
 
@@ -79,12 +81,11 @@ def leave_one_out(
     pit, adjusted_pit = np.empty((rows.size, 2)), np.full((rows.size, 2), np.nan)
     adjusted_bounds = np.full((rows.size, LEVEL_VALUES.size), np.nan)
     others = np.arange(n - 1)
-    for start in range(0, rows.size, BATCH):
-        batch = rows[start : start + BATCH]
-        all_distances = table.distances_between(batch)  # [n_kinds, n_batch, n]
-        for i, row in enumerate(batch, start=start):
+    for batch in row_batches(rows.size, n, BATCH):
+        all_distances = table.distances_between(rows[batch])  # [n_kinds, n_batch, n]
+        for i, row in enumerate(rows[batch], start=batch.start):
             rest = np.delete(np.arange(n), row)
-            distances = all_distances[:, i - start, rest]
+            distances = all_distances[:, i - batch.start, rest]
             result = accept(distances, rule, fraction, others, rng)
             chosen = rest[result.accepted]
             accepted[i, chosen] = True
@@ -157,6 +158,11 @@ class Coverage:
     def nominal_inside(self) -> bool:
         """Whether the interval contains the nominal coverage."""
         return self.low <= self.nominal <= self.high
+
+    @property
+    def too_low(self) -> bool:
+        """Whether the truth lies above its bound too seldom to be chance: the bound is too strong."""
+        return bool(scipy.stats.binom.cdf(self.n_covered, self.n, self.nominal) < TOO_LOW_P)
 
 
 def coverage(bounds: FloatArray, truth: FloatArray, level: float) -> Coverage:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from warmlens.inference.memory import row_batches
 from warmlens.inference.table import Table
 from warmlens.types import BoolArray, FloatArray
 
@@ -21,7 +22,8 @@ class CloudCheck:
 
     # Per kind of summary: percentage of samples whose nearest other sample is closer, ties counted half
     percentile: dict[str, float]
-    warnings: tuple[str, ...]  # for kinds above `MAX_PERCENTILE`, and kinds that cannot distinguish samples
+    outside: tuple[str, ...]  # a sentence for each kind above `MAX_PERCENTILE`
+    uninformative: tuple[str, ...]  # and for each kind that cannot distinguish samples
     nearest: FloatArray  # distance of samples to their nearest other one [n_kinds, n_samples]
 
     def percentiles(self, distances: FloatArray) -> FloatArray:
@@ -35,25 +37,26 @@ def cloud_check(table: Table) -> CloudCheck:
     """Compare the observation's nearest-neighbour distance with those of up to `MAX_ROWS` samples."""
     chosen = np.unique(np.linspace(0, table.n - 1, min(table.n, MAX_ROWS)).astype(np.int64))
     batches = []
-    for start in range(0, chosen.size, BATCH):
-        rows = chosen[start : start + BATCH]
+    for batch in row_batches(chosen.size, table.n, BATCH):
+        rows = chosen[batch]
         between = table.distances_between(rows)
         between[:, np.arange(rows.size), rows] = np.inf
         batches.append(between.min(axis=2))
     nearest = np.concatenate(batches, axis=1)
     distances = table.distances()
-    check = CloudCheck({}, (), nearest)
+    check = CloudCheck({}, (), (), nearest)
     values = check.percentiles(distances.min(axis=1, keepdims=True))[:, 0]
-    percentile, warnings = dict(zip(table.kinds, map(float, values), strict=True)), []
+    percentile = dict(zip(table.kinds, map(float, values), strict=True))
+    outside, uninformative = [], []
     for (name, value), of_kind in zip(percentile.items(), distances, strict=True):
         if value > MAX_PERCENTILE:
-            warnings.append(
+            outside.append(
                 f"THE OBSERVATION LIES OUTSIDE THE SIMULATIONS in {name}: it is farther from its nearest sample "
                 f"than {value:.1f}% of the samples are from theirs; no bound from this table can be trusted"
             )
         if np.ptp(of_kind) == 0.0:
-            warnings.append(f"all samples have the same distance in {name}: it tells nothing about them")
-    return CloudCheck(percentile, tuple(warnings), nearest)
+            uninformative.append(f"all samples have the same distance in {name}: it tells nothing about them")
+    return CloudCheck(percentile, tuple(outside), tuple(uninformative), nearest)
 
 
 @dataclass(frozen=True)

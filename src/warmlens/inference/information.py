@@ -43,7 +43,8 @@ def divergences(m_kev: FloatArray, accepted: BoolArray, m_range_kev: Range, n_bi
     """
     edges = np.linspace(*m_range_kev, n_bins + 1)
     bins = np.clip(np.searchsorted(edges, m_kev, side="right") - 1, 0, n_bins - 1)
-    counts = accepted.astype(np.float64) @ np.eye(n_bins)[bins]
+    selection, row = np.nonzero(accepted)
+    counts = np.bincount(selection * n_bins + bins[row], minlength=len(accepted) * n_bins).reshape(-1, n_bins)
     k = counts.sum(axis=1, keepdims=True)
     p = counts / k
     entropy = -np.sum(p * np.log(np.where(p > 0.0, p, 1.0)), axis=1)

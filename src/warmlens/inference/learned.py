@@ -56,7 +56,8 @@ def learned_summaries(
     mean = parameters.mean(axis=0)  # the same for all: a constant per fold would distinguish the folds
     for i in range(n_folds):
         train, test = fold != i, fold == i
-        centred = x[train] - x[train].mean(axis=0)
+        centred = x[train]
+        centred -= centred.mean(axis=0)
         values, vectors = np.linalg.eigh(centred.T @ centred)
         projected = vectors.T @ (centred.T @ (parameters[train] - parameters[train].mean(axis=0)))
         shrunk = projected / (np.maximum(values, 0.0)[:, None] + PENALTIES[:, None, None])  # [n_penalties, p, n_y]
@@ -81,7 +82,12 @@ def _standardised(features: FloatArray, observed: FloatArray) -> tuple[FloatArra
         return np.zeros((len(features), 1)), np.zeros((len(observed), 1))
     rows, row = features[:, used], observed[:, used]
     scale = np.sqrt(np.square(rows).mean(axis=0))
-    rows, row = np.arcsinh(rows / scale), np.arcsinh(row / scale)
+    for values in (rows, row):
+        values /= scale
+        np.arcsinh(values, out=values)
     mean, spread = rows.mean(axis=0), rows.std(axis=0)
     spread = np.where(spread > 0.0, spread, 1.0)
-    return (rows - mean) / spread, (row - mean) / spread
+    for values in (rows, row):
+        values -= mean
+        values /= spread
+    return rows, row

@@ -8,6 +8,7 @@ import numpy as np
 import scipy  # scipy.stats takes 1 s to import; scipy loads it on first use
 
 from warmlens.inference.bootstrap import Counts
+from warmlens.inference.memory import row_batches
 from warmlens.types import BoolArray, FloatArray, IntArray
 
 RATIOS = (0.1, 0.05)
@@ -155,8 +156,11 @@ class BoundaryKernels:
     def density(self, counts: Counts | BoolArray | IntArray | FloatArray) -> FloatArray:
         """Return the density of every selection [n_selections, n] of the values [n_selections, n_grid]."""
         total = np.maximum(counts.sum(axis=1, keepdims=True), 1)
-        numbers = counts.astype(np.float64)
-        constant, linear = numbers @ self._constant / total, numbers @ self._linear / total
+        constant, linear = np.empty((2, len(counts), self._constant.shape[1]))
+        for batch in row_batches(*counts.shape):
+            numbers = counts[batch].astype(np.float64)
+            constant[batch], linear[batch] = numbers @ self._constant, numbers @ self._linear
+        constant, linear = constant / total, linear / total
         safe = np.maximum(constant, np.finfo(float).tiny)
         return constant * np.exp(np.clip(linear / safe - 1.0, -50.0, 50.0))
 

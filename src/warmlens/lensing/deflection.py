@@ -17,8 +17,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from warmlens.kernels import njit
 from warmlens.types import FloatArray
 
 X_FLOOR = 1e-4  # in units of min(r_s, r_t): m(s) loses digits below, and s there no longer matters

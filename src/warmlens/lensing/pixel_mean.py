@@ -10,9 +10,9 @@ value at the centre. A few pixels about each such halo are therefore enough.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from warmlens.imaging.grid import PixelGrid
+from warmlens.kernels import njit
 from warmlens.lensing.deflection import (
     SEGMENT_SHIFT,
     X_FLOOR,

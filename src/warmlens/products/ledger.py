@@ -67,7 +67,7 @@ def write_ledger(
         outputs={output.relative_to(results).as_posix(): file_digest(output) for output in outputs},
     )
     with atomic_path(path) as temporary:
-        temporary.write_text(ledger.model_dump_json(indent=2) + "\n")
+        temporary.write_text(ledger.model_dump_json(indent=2) + "\n", encoding="utf-8")
 
 
 def read_ledger(path: Path) -> Ledger:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from warmlens.artifacts.file import Dataset, open_artifact, reading
+from warmlens.artifacts.file import Dataset, open_artifact, open_input, reading
 from warmlens.config.types import ConfigError
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.noise import NoiseModel
@@ -47,7 +47,7 @@ def observation_datasets(observation: Observation) -> tuple[dict[str, Dataset], 
 
 def read_observation(path: Path) -> Observation:
     """Read the observation of an artifact."""
-    with open_artifact(path, "observation") as artifact, reading(path):
+    with open_input(path, "observation") as artifact, reading(path):
         grid = _grid(artifact.metadata["grid"])
         bands = tuple(
             Band(

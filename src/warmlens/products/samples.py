@@ -87,15 +87,16 @@ class SampleTable:
     def for_each(self, work: Callable[[int], None], label: str, sample_seconds: float = math.inf) -> None:
         """Call `work(row)` for every row that has not failed; record a failure and go on.
 
-        A sample that takes longer than `sample_seconds` fails, and is not tried again: it would take as long.
-        Errors of the machine (OSError, MemoryError) and damaged inputs are not the sample's and end the job, as
-        does a chunk of which no sample is left.
+        A sample that takes longer than `sample_seconds` of processor time fails, and is not tried again: it would
+        take as long. Errors of the machine (OSError, MemoryError), waiting without computing among them, and
+        damaged inputs are not the sample's and end the job, as does a chunk of which no sample is left.
         """
         rows = np.flatnonzero(self.done)
         start = last = time.monotonic()
         for count, row in enumerate(rows, start=1):
             if math.isfinite(sample_seconds):  # a sample that hangs in a kernel cannot log later
-                log.info("%s: sample %d", label, self.parameters.sample_id[row])
+                sample = self.parameters.sample_id[row]
+                log.info("%s: sample %d, at most %g s of processor time", label, sample, sample_seconds)
             try:
                 with time_limit(sample_seconds):
                     work(int(row))

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, Dataset, open_artifact, reading
+from warmlens.artifacts.file import Artifact, Dataset, open_input, reading
 from warmlens.fitting.judgement import Judgement
 from warmlens.fitting.lens_fit import LensFit
 from warmlens.fitting.smooth_model import BandFit, SmoothModel
@@ -101,14 +101,15 @@ def fit_datasets(fitted: LensFit, judgement: Judgement) -> tuple[dict[str, Datas
         ],
         "source_center": solution.center.tolist(),
         "kwargs_lens_light": list(solution.macro.kwargs_light),
-        "warnings": judgement.warnings,
+        "problems": judgement.problems,
+        "notes": judgement.notes,
     }
     return datasets, metadata
 
 
 def read_smooth_model(path: Path) -> SmoothModel:
     """Read the smooth model of an artifact."""
-    with open_artifact(path, "smooth_model") as artifact, reading(path):
+    with open_input(path, "smooth_model") as artifact, reading(path):
         meta = artifact.metadata
         return SmoothModel(
             deflection=artifact.array("deflection"),

@@ -14,11 +14,10 @@ from warmlens.artifacts.names import FIGURES, REPORT, SINGLE
 from warmlens.campaign.derived import record_made
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.figures import CAPTIONS
-from warmlens.inference.calibration import MIN_ROWS
 from warmlens.report.collect import read_report
 from warmlens.report.provenance import CampaignProvenance, read_provenance
 from warmlens.report.render import picture, render, write_page
-from warmlens.text import CITATION, bound_cells, confidence, prior_name
+from warmlens.text import CITATION, MEANING, bound_cells, confidence, prior_name
 
 # Figures that are shown with their numbers; all others follow under "Figures".
 PLACED = ("posterior", "likelihood", "information", "calibration", "convergence", "predictive")
@@ -65,7 +64,8 @@ def report_html(campaign: Mapping[str, Any], provenance: CampaignProvenance) -> 
         predictive_kinds=dict.fromkeys([*meta["posterior_predictive_p"], *meta["nearest_neighbour_percentile"]]),
         file_warnings=file_warnings(provenance),
         citation=CITATION,
-        min_trials=MIN_ROWS,
+        meaning=MEANING,
+        verdict_class={"measured": "good", "prior only": "weak", "not usable": "bad"}[meta["verdict"]],
         infinity=math.inf,
     )
 

@@ -138,7 +138,7 @@ def failing_stages(config: Config, samples: Sequence[int]) -> list[str]:
 
 def _reproduction(results: Path, config: Config) -> dict[str, Any]:
     """Return what makes the same numbers again, and the configuration as YAML with the digest of its JSON."""
-    recorded = json.loads((results / CONFIG).read_text())
+    recorded = json.loads((results / CONFIG).read_text(encoding="utf-8"))
     return {
         "command": remaking_command(results),
         "results": str(recorded_results(results)),

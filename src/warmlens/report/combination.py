@@ -2,20 +2,28 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
+import numpy as np
 
-from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path
+from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
+from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.answer import open_answer
 from warmlens.inference.bound import HEADLINE, LEVELS
 from warmlens.inference.combine import combine
 from warmlens.inference.likelihood import RATIOS, LikelihoodRatio
-from warmlens.report.result import print_warnings
-from warmlens.text import confidence, pair
+from warmlens.inference.verdict import Verdict, judge_combined
+from warmlens.products.observation import read_observation
+from warmlens.report.result import print_verdict
+from warmlens.text import Terminal, confidence, pair
+from warmlens.types import FloatArray
+
+_DISTINCT = 0.5  # fraction of the pixels: an image with fewer different values is one of whole counts
 
 
 def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, Any]:
@@ -24,29 +32,29 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     Raises
     ------
     ArtifactError
-        For fewer than two campaigns, or two of the same observation.
+        For fewer than two campaigns, or two of the same observation, whatever was made of it.
     """
     if len(results) < 2:
         raise ArtifactError("combine needs the results folders of at least two campaigns, each of another lens")
+    check_different([_Observed.read(folder) for folder in results])
     lenses: list[LikelihoodRatio] = []
     warnings: list[str] = []
-    seen: dict[str, Path] = {}
+    verdicts: dict[str, Verdict] = {}
     for folder in results:
         with open_answer(folder) as artifact:
-            observed = artifact.inputs["observed_summary"]["digest"]
-            if observed in seen:
-                raise ArtifactError(
-                    f"{folder} and {seen[observed]} are of the same observation, which would count twice"
-                )
-            seen[observed] = folder
             lenses.append(_read_ratio(artifact))
+            verdicts[str(folder)] = artifact.metadata["verdict"]
             warnings += [f"{folder}: {text}" for text in artifact.metadata["warnings"]]
     try:
         combined = combine(lenses)
     except ValueError as error:
         raise ArtifactError(str(error)) from error
+    value, error_kev, prior = (
+        numbers[HEADLINE] for numbers in (combined.bounds_kev, combined.mc_errors_kev, combined.prior_only_kev)
+    )
     numbers = {
-        "lenses": [str(folder) for folder in results],
+        **judge_combined(value, error_kev, prior, verdicts).numbers(),
+        "lenses": verdicts,
         "headline": HEADLINE,
         "bounds": {
             name: {
@@ -67,8 +75,50 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     _print(numbers)
     if output is not None:
         with atomic_path(output) as temporary:
-            temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n")
+            temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return numbers
+
+
+@dataclass(frozen=True)
+class _Observed:
+    """What tells an observation from others: the unmasked pixel values of each band, and a simulated lens."""
+
+    folder: Path
+    values: dict[str, FloatArray]
+    simulated: dict[str, Any] | None
+
+    @classmethod
+    def read(cls, folder: Path) -> _Observed:
+        with open_artifact(folder / SINGLE["observation"], "observation") as artifact:
+            simulated = artifact.settings["observation"].get("simulated")
+        observed = read_observation(folder / SINGLE["observation"])
+        values = {band.name: band.image[band.mask] for band in observed.bands}
+        lens = None if simulated is None else {key: simulated[key] for key in simulated if key != "bands"}
+        return cls(folder, values, lens)
+
+
+def check_different(observed: Sequence[_Observed]) -> None:
+    """Refuse two campaigns of one observation, which would count twice.
+
+    Masks, windows, cutouts, bands, noise, models and summaries may differ: what counts is the image.
+    """
+    for first, second in itertools.combinations(observed, 2):
+        bands = itertools.product(first.values.values(), second.values.values())
+        if any(map(_same_image, *zip(*bands, strict=True))) or (
+            first.simulated is not None and first.simulated == second.simulated
+        ):
+            raise ArtifactError(
+                f"{first.folder} and {second.folder} are of the same observation, which would count twice; "
+                "combine takes one campaign per lens, with all bands in it"
+            )
+
+
+def _same_image(first: FloatArray, second: FloatArray) -> bool:
+    """Return whether most unmasked pixels of two images [n] have exactly the same values, in any order."""
+    one, other = np.unique(first), np.unique(second)
+    if one.size < _DISTINCT * first.size or other.size < _DISTINCT * second.size:
+        return np.array_equal(first, second)  # whole counts: images of any two lenses share most values
+    return np.intersect1d(one, other).size > 0.5 * min(one.size, other.size)
 
 
 def _read_ratio(artifact: Artifact) -> LikelihoodRatio:
@@ -82,8 +132,8 @@ def _read_ratio(artifact: Artifact) -> LikelihoodRatio:
 
 
 def _print(numbers: dict[str, Any]) -> None:
-    console = Console(highlight=False, soft_wrap=True)
-    print_warnings(console, numbers["warnings"])
+    console = Terminal()
+    print_verdict(console, numbers)
     bound = numbers["bounds"][numbers["headline"]]
     grid = numbers["likelihood_ratio"]["m_kev"]
     console.print(

@@ -6,12 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-
 from warmlens.artifacts.names import CONFIG, EXCLUSION_NUMBERS, EXCLUSION_TABLE, SINGLE
 from warmlens.campaign.answer import open_answer
 from warmlens.config.file import read_stored
-from warmlens.report.result import nearest_line, print_warnings
+from warmlens.report.result import nearest_line, print_verdict
+from warmlens.text import Terminal
 
 
 def is_grid(results: Path) -> bool:
@@ -25,8 +24,8 @@ def print_exclusion(results: Path) -> None:
     path = results / SINGLE["exclusion"]
     with open_answer(results, "exclusion") as artifact:
         meta = artifact.metadata
-    console = Console(highlight=False, soft_wrap=True)
-    print_warnings(console, meta["warnings"])
+    console = Terminal()
+    print_verdict(console, meta)
     console.print(meta["statement"], style="bold", markup=False)
     for line in [
         *exclusion_lines(meta),

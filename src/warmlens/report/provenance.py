@@ -96,7 +96,7 @@ def peak_memory(benchmarks: Path, stage: str) -> float | None:
     single = [benchmarks / Path(SINGLE[stage]).with_suffix(".tsv")] if stage in SINGLE else []
     for path in (benchmarks / f"{stage}.tsv", *single, *sorted((benchmarks / stage).glob("*.tsv"))):
         if path.is_file():
-            with path.open(newline="") as handle:
+            with path.open(newline="", encoding="utf-8") as handle:
                 for line in csv.DictReader(handle, delimiter="\t"):
                     text = line.get("max_rss") or ""
                     if text.replace(".", "", 1).isdigit():  # "NA" or "-" where it was not measured

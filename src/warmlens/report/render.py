@@ -98,7 +98,9 @@ def picture(png: bytes, alt: str, what: str = "picture") -> dict[str, Any]:
 
 def render(template: str, **values: Any) -> str:
     """Render a page with style and script in it; its content security policy lets it load and run nothing else."""
-    style, script = (files("warmlens.report").joinpath("templates", name).read_text() for name in _INLINE)
+    style, script = (
+        files("warmlens.report").joinpath("templates", name).read_text(encoding="utf-8") for name in _INLINE
+    )
     return (
         environment()
         .get_template(template)

@@ -12,7 +12,7 @@ from rich.markup import escape
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import FIGURES, NUMBERS, REPORT, SINGLE, TABLE
 from warmlens.campaign.answer import open_answer
-from warmlens.text import bound_cells, confidence, crossing, pair
+from warmlens.text import MEANING, Terminal, bound_cells, confidence, crossing, pair
 
 
 def print_result(results: Path) -> None:
@@ -22,13 +22,11 @@ def print_result(results: Path) -> None:
         meta = artifact.metadata
     with open_artifact(results / SINGLE["smooth_model"], "smooth_model") as artifact:
         fits, bands = artifact.metadata["fits"], artifact.metadata["bands"]
-    console = Console(highlight=False, soft_wrap=True)
-    print_warnings(console, meta["warnings"])
+    console = Terminal()
+    print_verdict(console, meta)
     bound = meta["bounds"][meta["headline"]]
     if meta["summaries"] != "paper":
         console.print(f"by the {meta['summaries']} summaries, not the paper's, whose bound is below:")
-    if not meta["quotable"]:
-        console.print("[bold red]NOT TO BE QUOTED[/], see the warnings:")
     console.print(
         f"[bold]m_TH > {pair(bound['value_kev'], bound['mc_error_kev'])} keV[/] "
         f"({confidence(bound)} one-sided, {meta['n_accepted']} of {meta['n_samples']} samples "
@@ -49,10 +47,14 @@ def print_result(results: Path) -> None:
         console.print(f"report:       {results / REPORT}, all of this on one page", markup=False)
 
 
-def print_warnings(console: Console, warnings: list[str]) -> None:
-    """Print one line per warning."""
-    for warning in warnings:
-        console.print(f"[bold red]WARNING[/] {escape(warning)}")
+def print_verdict(console: Console, meta: Mapping[str, Any]) -> None:
+    """Print the verdict with its reasons, and one line per warning."""
+    colour = {"measured": "green", "prior only": "yellow", "not usable": "red"}[meta["verdict"]]
+    console.print(f"[bold {colour}]{meta['verdict'].upper()}[/] {MEANING[meta['verdict']]}")
+    for reason in meta["reasons"]:
+        console.print(f"  - {escape(reason)}")
+    for warning in meta["warnings"]:
+        console.print(f"[bold]warning[/] {escape(warning)}")
 
 
 def companions(meta: Mapping[str, Any]) -> list[str]:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from warmlens.imaging.shapelets import basis as shapelet_basis
 from warmlens.imaging.source_gradient import gradient_sets
+from warmlens.kernels import njit
 from warmlens.scan.forms import fill_change, unpack
 from warmlens.scan.nested import nested_basis, nested_block
 from warmlens.scan.perturber import PerturbedBasis, deflection_over_radius, position_blocks

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from warmlens.kernels import njit
 from warmlens.scan.nested import at_point
 from warmlens.scan.perturber import PerturbedBasis, basis_change, basis_response
 from warmlens.scan.shard import OperatorShard, active_positions

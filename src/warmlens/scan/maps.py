@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from warmlens.fitting.linear import LinearFit, physical_coefficients
 from warmlens.imaging.psf import Convolution
+from warmlens.kernels import njit
 from warmlens.scan.apply import position_vectors
 from warmlens.scan.forms import unpack
 from warmlens.scan.nested import nested_basis

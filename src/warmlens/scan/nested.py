@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from warmlens.imaging.shapelets import ShapeletSet, add_basis
+from warmlens.kernels import njit
 from warmlens.lensing.rays import SmoothRays
-from warmlens.scan.perturber import PerturbedBasis, Perturber, perturbed_basis
+from warmlens.scan.perturber import ROUNDING, PerturbedBasis, Perturber, perturbed_basis
 from warmlens.types import FloatArray, IntArray
 
 _BLOCK_PIXELS = 64
@@ -101,28 +101,44 @@ def _source_points(source: FloatArray, in_pixels: FloatArray, step: FloatArray, 
             out[position, axis] = (1.0 - v) * (
                 (1.0 - u) * source[low, left, axis] + u * source[low, left + 1, axis]
             ) + v * ((1.0 - u) * source[low + 1, left, axis] + u * source[low + 1, left + 1, axis])
+        rows = range(max(low - reach, 0), min(low + reach, n_rows - 2) + 1)
+        columns = range(max(left - reach, 0), min(left + reach, n_columns - 2) + 1)
+        nearest = math.inf
+        for r in rows:
+            for c in columns:
+                nearest = min(nearest, _squared_distance(step, c + 0.5 - column, r + 0.5 - row))
+        within = max(radius * radius, nearest) * (1.0 + ROUNDING)  # a small radius holds no centre of a cell
         total, count = 0.0, 0
-        for r in range(max(low - reach, 0), min(low + reach, n_rows - 2) + 1):
-            for c in range(max(left - reach, 0), min(left + reach, n_columns - 2) + 1):
-                dc, dr = c + 0.5 - column, r + 0.5 - row
-                dx, dy = step[0, 0] * dc + step[0, 1] * dr, step[1, 0] * dc + step[1, 1] * dr
-                if dx * dx + dy * dy <= radius * radius:
+        for r in rows:
+            for c in columns:
+                if _squared_distance(step, c + 0.5 - column, r + 0.5 - row) <= within:
                     total += _source_area(source, r, c)
                     count += 1
-        if count == 0:
-            total, count = _source_area(source, low, left), 1
         out[position, 2] = total / (count * area)
     return out
 
 
 @njit(cache=True)
+def _squared_distance(step: FloatArray, columns: float, rows: float) -> float:
+    dx, dy = step[0, 0] * columns + step[0, 1] * rows, step[1, 0] * columns + step[1, 1] * rows
+    return dx * dx + dy * dy
+
+
+@njit(cache=True)
 def _source_area(source: FloatArray, row: int, column: int) -> float:
-    """Return the area that the mesh cell between four pixel centres maps to, as two triangles."""
+    """Return the area that the mesh cell between four pixel centres maps to.
+
+    The cell is cut into two triangles along either diagonal, and the mean of both taken: one alone would make the
+    area depend on the handedness of the detector.
+    """
     a, b = source[row, column], source[row, column + 1]
     c, d = source[row + 1, column], source[row + 1, column + 1]
-    first = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-    second = (b[0] - d[0]) * (c[1] - d[1]) - (b[1] - d[1]) * (c[0] - d[0])
-    return 0.5 * (abs(first) + abs(second))
+    return 0.5 * (_triangle(a, b, c) + _triangle(d, b, c) + _triangle(b, a, d) + _triangle(c, a, d))
+
+
+@njit(cache=True)
+def _triangle(a: FloatArray, b: FloatArray, c: FloatArray) -> float:
+    return 0.5 * abs((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
 def nested_basis(n_max: int, rays: SmoothRays, perturber: Perturber) -> PerturbedBasis:

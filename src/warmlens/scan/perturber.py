@@ -9,7 +9,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from warmlens.imaging.shapelets import (
     ShapeletSet,
@@ -18,9 +17,13 @@ from warmlens.imaging.shapelets import (
     pack_sets,
     recurrence_factors,
 )
+from warmlens.kernels import njit
 from warmlens.lensing.rays import SmoothRays
 from warmlens.types import BoolArray, FloatArray, IntArray
 
+# Relative width of ties: distances that are equal on paper differ by less after rounding. Rasters and pixels are
+# often commensurate, so that rays do lie at the centre of a perturber and at the edge of its reach.
+ROUNDING = 1e-9
 _BLOCK_ROWS = 512  # moved pixels of the positions that are computed together
 _STEP = 2e-5  # of r_trunc: deflections on both sides of 0 for the derivative by the amplitude
 
@@ -54,8 +57,8 @@ class Perturber:
 
 @njit(cache=True)
 def deflection_over_radius(radius: float, theta_e: float, r_trunc: float) -> float:
-    """Return |alpha_clump|(r) / r; Birrer+2017, equation of sec. 4.1."""
-    if radius == 0.0 or radius >= 2.0 * r_trunc:
+    """Return |alpha_clump|(r) / r, 0 at the centre to rounding; Birrer+2017, equation of sec. 4.1."""
+    if radius <= ROUNDING * r_trunc or radius >= 2.0 * r_trunc:
         return 0.0
     if radius <= r_trunc:
         return theta_e / radius
@@ -149,7 +152,8 @@ def moved_pixels(
 ) -> tuple[IntArray, IntArray]:
     """Find the pixels with a sub-pixel ray that a perturber at each position moves, as CSR (offsets, pixels).
 
-    A position whose moved pixels are all masked (or off the image) gets none.
+    A position whose moved pixels are all masked (or off the image) gets none. Rays at the centre and at the edge
+    of the reach, to rounding, are not moved.
     """
     npix, n_sub = theta_x.shape
     center_x, center_y = np.empty(npix), np.empty(npix)
@@ -159,6 +163,7 @@ def moved_pixels(
         for sub in range(n_sub):
             dx, dy = theta_x[pixel, sub] - center_x[pixel], theta_y[pixel, sub] - center_y[pixel]
             largest = max(largest, np.sqrt(dx * dx + dy * dy))
+    inner, outer = (0.5 * ROUNDING * reach) ** 2, reach * reach * (1.0 - ROUNDING)
     near = (reach + 1.001 * largest) ** 2  # beyond this no sub-pixel can be reached
     n_positions = positions.shape[0]
     offsets = np.zeros(n_positions + 1, dtype=np.int64)
@@ -176,7 +181,7 @@ def moved_pixels(
             for sub in range(n_sub):
                 dx = theta_x[pixel, sub] - positions[position, 0]
                 dy = theta_y[pixel, sub] - positions[position, 1]
-                if 0.0 < dx * dx + dy * dy < reach * reach:
+                if inner < dx * dx + dy * dy < outer:
                     pixels[stop] = pixel
                     stop += 1
                     any_unmasked = any_unmasked or unmasked[pixel]

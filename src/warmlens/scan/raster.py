@@ -31,8 +31,9 @@ class Raster:
         rows, columns = np.argwhere(mask).T.astype(np.float64)
         corners = [(a, b) for a in (-0.5, 0.5) for b in (-0.5, 0.5)]
         x, y = np.array([grid.to_sky(columns + a, rows + b) for a, b in corners]).swapaxes(0, 1).reshape(2, -1)
+        x, y = x.round(9), y.round(9)  # without the rounding errors that depend on the orientation of the detector
         center = (0.5 * float(x.min() + x.max()), 0.5 * float(y.min() + y.max()))
-        return cls(float(np.ptp(x)), float(np.ptp(y)), step, center)
+        return cls(float(np.ptp(x).round(9)), float(np.ptp(y).round(9)), step, center)
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.step) and self.step > 0.0):

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
+from warmlens.kernels import njit
 from warmlens.scan.forms import unpack
 from warmlens.scan.perturber import PerturbedBasis, basis_change, perturbed_basis
 from warmlens.scan.shard import OperatorShard, ScanBand

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from warmlens.fitting.linear import LinearModel
 from warmlens.imaging.psf import Convolution
 from warmlens.imaging.shapelets import ShapeletSet, n_coefficients
+from warmlens.kernels import njit
 from warmlens.lensing.rays import SmoothRays
 from warmlens.scan.perturber import PerturbedBasis, Perturber, perturbed_basis
 from warmlens.types import FloatArray, IntArray

@@ -15,6 +15,7 @@ from warmlens.inference.checks import cloud_check
 from warmlens.inference.exclusion import LEVEL, MAX_RATIO, Exclusion, exclusion
 from warmlens.inference.summary_sets import kinds_of, learned_points, points
 from warmlens.inference.table import Table
+from warmlens.inference.verdict import MEASURED, NOT_USABLE, PRIOR_ONLY, Reason, judge, table_reasons
 from warmlens.products.answer import NODE_COLUMNS
 from warmlens.sampling import stream
 from warmlens.stage_table import ExclusionSettings
@@ -45,14 +46,25 @@ def run(job: Job[ExclusionSettings]) -> None:
     except ValueError as error:
         raise ArtifactError(f"the grid excludes nothing: {error}") from error
     cloud = cloud_check(table)
-    warnings = [*cloud.warnings, *counts.warnings, *samples.warnings]
+    reasons = [
+        *table_reasons(table.n, acceptance.k),
+        *(Reason(NOT_USABLE, text) for text in cloud.outside),
+        *samples.reasons,
+        *(Reason(PRIOR_ONLY, text) for text in cloud.uninformative),
+        *(Reason(MEASURED, text) for text in counts.warnings),
+    ]
+    if not any(halo.excluded for halo in counts.halo_masses):
+        reasons.append(Reason(PRIOR_ONLY, statement(counts)))
     if acceptance.n_tied:
-        warnings.append(f"{acceptance.n_tied} samples share the distance at the cut")
-    for warning in warnings:
+        reasons.append(Reason(MEASURED, f"{acceptance.n_tied} samples share the distance at the cut"))
+    judgement = judge(reasons, statement(counts))
+    log.warning("the exclusion is %s: %s", judgement.verdict, "; ".join(judgement.because))
+    for warning in judgement.warnings:
         log.warning(warning)
     last = counts.excluded_up_to
     metadata = to_json_types(
         {
+            **judgement.numbers(),
             "n_samples": len(samples.table),
             "n_failed": int((~samples.good).sum()),
             "summaries": block.summaries,
@@ -72,7 +84,7 @@ def run(job: Job[ExclusionSettings]) -> None:
             "excluded_up_to_log10_m_halo_msun": None if last is None else last.log10_m_halo_msun,
             "statement": statement(counts),
             "nearest_neighbour_percentile": cloud.percentile,
-            "warnings": warnings,
+            "warnings": judgement.warnings,
         }
     )
     datasets = _node_datasets(counts, settings) | _table_datasets(samples, distances, acceptance, table.kinds)

@@ -10,7 +10,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from warmlens.artifacts.file import Artifact, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.file import Artifact, Dataset, Provenance, open_input, write_artifact
 from warmlens.config.types import ConfigError
 from warmlens.products.time_limit import SAMPLE_SECONDS
 from warmlens.sampling import Span
@@ -32,7 +32,7 @@ class Job(Generic[Settings]):
     span
         Samples or positions to compute; None if the inputs say it, or for the whole.
     sample_seconds
-        Longest time of one sample; a sample that takes longer fails.
+        Longest processor time of one sample; a sample that takes longer fails.
     """
 
     stage: Stage
@@ -57,7 +57,7 @@ class Job(Generic[Settings]):
     @contextlib.contextmanager
     def open(self, name: str) -> Iterator[Artifact]:
         """Open the input of a name, after checking that its stage wrote it."""
-        with open_artifact(self.path(name), self.stage.inputs[name]) as artifact:
+        with open_input(self.path(name), self.stage.inputs[name]) as artifact:
             yield artifact
 
     @property

@@ -10,7 +10,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, open_artifact
+from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, open_input
 from warmlens.fitting.linear import LinearFit, physical_coefficients, solve
 from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.observation import Observation
@@ -78,7 +78,7 @@ class Scanner:
         """Check, before anything is computed, that the shards are this campaign's and together hold the raster."""
         spans = []
         for path in self._shards:
-            with open_artifact(path, "scan_operator") as artifact:
+            with open_input(path, "scan_operator") as artifact:
                 check_origin(artifact, job)
                 spans.append(artifact.span or (0, 0))
         edges = [(0, 0), *spans, (self.raster.n_positions, self.raster.n_positions)]
@@ -105,7 +105,7 @@ class Scanner:
             Deflections [arcsec] for which the expected Delta R of the first image's smooth fit is wanted.
         """
         band, convolution = scan_band(self.observed, self.model, name)
-        with open_artifact(self._design, "scan_design") as design:
+        with open_input(self._design, "scan_design") as design:
             linear = read_linear_model(design, name)
         whitened = (band.weights * images).reshape(len(images), -1).T
         fit = solve(linear, np.ascontiguousarray(whitened))
@@ -121,7 +121,7 @@ class Scanner:
         maps, valid, residuals, responses, expected = [], [], [], [], []
         start = time.monotonic()
         for count, path in enumerate(self._shards, start=1):
-            with open_artifact(path, "scan_operator") as artifact:
+            with open_input(path, "scan_operator") as artifact:
                 shard = read_shard(artifact, name, sensitivity=residual_rows.size > 0)
                 self._check_positions(artifact, shard.positions)
             if self._amplitude:

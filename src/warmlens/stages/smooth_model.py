@@ -28,7 +28,7 @@ def run(job: Job[SmoothModelSettings]) -> None:
     fitted = fit_lens(block, observed)
     model = finished_model(fitted)
     judgement = judge_fit(block, observed, fitted, model)
-    for warning in judgement.warnings:
+    for warning in (*judgement.problems, *judgement.notes):
         log.warning(warning)
     datasets, metadata = smooth_model_datasets(model)
     fit, description = fit_datasets(fitted, judgement)

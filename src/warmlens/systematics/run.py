@@ -30,7 +30,7 @@ from warmlens.config.types import Block, Name, ResultsFolder
 from warmlens.config.yaml import read_yaml
 from warmlens.stage_table import campaign_stages, stage_digests
 from warmlens.systematics import table
-from warmlens.text import duration
+from warmlens.text import Terminal, duration
 
 CONFIG = Path("config.yaml")
 OVERLAY, LOG, BASE = "overlay.yaml", "systematics.log", "base"
@@ -74,9 +74,9 @@ def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> None:
     folder = Path(block.results)
     overlays = write_overlays(block, base)
     configs = _load_variants(layers, overlays)
-    console = Console(highlight=False, soft_wrap=True)
+    console = Terminal()
     started = time.monotonic()
-    console.print(f"base campaign: {base.results}")
+    console.print(f"base campaign: {base.results}", markup=False)
     if reason := _snakemake(base, layers[1:], "abc", cores, folder / f"{BASE}.log"):
         raise ArtifactError(f"the base campaign {base.results} failed: {reason}")
     check_chain(resolve_window(base), stage_files(base, "abc"))
@@ -93,7 +93,7 @@ def run(path: Path, cores: int, base_overlays: Sequence[Path] = ()) -> None:
     table.draw_table(folder, rows)
     console.print(f"{len(block.variants)} variants in {duration(time.monotonic() - started)}")
     table.print_table(rows, console)
-    console.print(f"table and figure: {folder / table.NAME}.csv, .json, .png")
+    console.print(f"table and figure: {folder / table.NAME}.csv, .json, .png", markup=False)
 
 
 def read_systematics(path: Path) -> SystematicsBlock:
@@ -114,7 +114,7 @@ def write_overlays(block: SystematicsBlock, base: Config) -> dict[str, Path]:
         paths[name] = folder / OVERLAY
         layer = merge(variant.overlay, {"results": str(folder), "observation": observed})
         with atomic_path(paths[name]) as temporary:
-            temporary.write_text(yaml.safe_dump(layer, sort_keys=False))
+            temporary.write_text(yaml.safe_dump(layer, sort_keys=False), encoding="utf-8")
     return paths
 
 
@@ -165,14 +165,14 @@ def _snakemake(
     command = [SNAKEMAKE, *arguments(cores, overlays, [str(stage_files(config, stage)[0])])]
     log.parent.mkdir(parents=True, exist_ok=True)
     environment = os.environ | ({YES: "1"} if yes else {})
-    with log.open("w") as handle:
+    with log.open("w", encoding="utf-8") as handle:
         done = subprocess.run(command, stdout=handle, stderr=subprocess.STDOUT, env=environment, check=False)
     return "" if done.returncode == 0 else last_words(log)
 
 
 def last_words(log: Path) -> str:
     """Return the last message of a failed run, that of the stage that failed if there is one."""
-    text = re.sub(r"\x1b\[[0-9;]*m", "", log.read_text(errors="replace"))
+    text = re.sub(r"\x1b\[[0-9;]*m", "", log.read_text(encoding="utf-8", errors="replace"))
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     own = [line.partition("warmlens: ")[2] for line in lines if line.startswith("warmlens: ")]
     return own[-1] if own else f"{lines[-1] if lines else 'Snakemake said nothing'} (see {log})"

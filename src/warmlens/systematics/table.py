@@ -21,6 +21,7 @@ from warmlens.inference.priors import HALO_MASS_PRIORS
 from warmlens.products.samples import SampleTable
 from warmlens.stage_table import campaign_stages
 from warmlens.stages.summaries import COMBINED
+from warmlens.text import Terminal
 from warmlens.types import FloatArray
 
 NAME = "systematics"
@@ -49,7 +50,7 @@ class Row:
     n_samples: int | None = None
     n_in_common: int | None = None  # accepted samples that the base accepted too
     ess: float | None = None  # effective number of accepted samples
-    quotable: bool | None = None  # as in abc.json
+    verdict: str | None = None  # as in abc.json
     n_below: int | None = None  # positions of the observation's scan below the threshold, bands added
     c0: float | None = None  # C(0)
     min_delta_r: float | None = None
@@ -96,7 +97,7 @@ def write_table(folder: Path, rows: Sequence[Row]) -> None:
     """Write the rows as CSV (one column per number) and JSON (with lists)."""
     records = [asdict(row) for row in rows]
     with atomic_path(folder / f"{NAME}.json") as temporary:
-        temporary.write_text(json.dumps(records, indent=2, allow_nan=False) + "\n")
+        temporary.write_text(json.dumps(records, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     for record in records:
         record["computed"] = " ".join(record["computed"])
         record["warnings"] = "; ".join(record["warnings"])
@@ -107,15 +108,15 @@ def write_table(folder: Path, rows: Sequence[Row]) -> None:
 
 def print_table(rows: Sequence[Row], console: Console) -> None:
     """Print bound and scan of every variant, and why one has none."""
-    columns = ("variant", "bound [keV]", "prior", "shift", "as base", "n below", "C(0)", "min dR", "z2")
+    columns = ("variant", "bound [keV]", "verdict", "prior", "shift", "as base", "n below", "C(0)", "min dR", "z2")
     caption = "n below, z2: of the observation (median of the mocks without substructure)"
     table = Table(*columns, "chi2_red", "core s", box=None, caption=caption)
     for row in rows:
         bound = "" if row.bound_kev is None else f"{row.bound_kev:.2f} +- {row.mc_error_kev:.2f}"
-        bound += " (do not quote)" if row.quotable is False else ""
         table.add_row(
             row.name,
             "failed" if row.state == FAILED else bound,
+            row.verdict or "",
             _text("{:.2f}", row.prior_only_kev),
             _text("{:+.2f}", row.shift_kev),
             "" if row.n_in_common is None else f"{row.n_in_common} of {row.n_accepted}",
@@ -126,7 +127,8 @@ def print_table(rows: Sequence[Row], console: Console) -> None:
             " ".join(f"{value:.3f}" for value in row.chi2_red.values()),
             _text("{:.0f}", row.computed_s),
         )
-    wide = Console(file=console.file, highlight=False, width=max(console.width, 140))  # so that no cell is broken
+    # so that no cell is broken
+    wide = Terminal(file=console.file, markup=False, soft_wrap=False, width=max(console.width, 150))
     wide.print(table)
     for row in rows:
         if row.state == FAILED:
@@ -177,8 +179,8 @@ def _bound_fields(bound: Mapping[str, Any], of_base: Mapping[str, Any] | None) -
 
 def _bound_numbers(config: Config, base: Config | None) -> dict[str, Any]:
     meta, bound, accepted = _read_abc(config)
-    numbers = {name: meta[name] for name in ("n_accepted", "n_samples", "quotable")}
-    numbers["warnings"] = tuple(meta["warnings"])
+    numbers = {name: meta[name] for name in ("n_accepted", "n_samples", "verdict")}
+    numbers["warnings"] = (*meta["reasons"], *meta["warnings"])
     if base is None:
         return {**_bound_fields(bound, None), **numbers}
     _, of_base, accepted_by_base = _read_abc(base)

@@ -5,6 +5,8 @@ import pytest
 from matplotlib.colors import AsinhNorm, LogNorm
 
 from warmlens.figures.draw.sky import (
+    DECADES,
+    EMPTY_PEAK,
     add_colour_bar,
     brightness_limits,
     density_limits,
@@ -129,8 +131,9 @@ def test_halo_map_spans_three_decades(panel):
     artist = draw_halo_map(panel, sigma, GRID)
     assert artist.get_clim() == pytest.approx((2.3e4, 2.3e7))
     np.testing.assert_array_equal(artist.get_array(), sigma)
-    with pytest.raises(ValueError, match="no substructure"):
-        density_limits([np.zeros((4, 6))])
+    assert density_limits([np.zeros((4, 6))]) == (EMPTY_PEAK / 10**DECADES, EMPTY_PEAK)  # no subhalo
+    with pytest.raises(ValueError, match="must be finite"):
+        density_limits([np.full((4, 6), np.nan)])
 
 
 def test_brightness_starts_at_zero_or_below_and_leaves_out_the_brightest():

@@ -19,6 +19,7 @@ from warmlens.types import FloatArray
 MASKED_COLOUR = "0.85"
 DENSITY_LABEL = r"$\Sigma_{\rm sub}$ [M$_\odot$ kpc$^{-2}$]"
 DECADES = 3.0  # of the surface density
+EMPTY_PEAK = 1.0e8  # Msun/kpc^2, as of a subhalo of 10^9 Msun
 Stretch = Literal["linear", "asinh", "log"]
 
 
@@ -105,10 +106,13 @@ def draw_halo_map(
 
 
 def density_limits(maps: Iterable[FloatArray]) -> tuple[float, float]:
-    """Return the first and last colour of maps of Sigma [Msun/kpc^2] on one scale: the peak is the last."""
-    high = max(float(np.max(sigma)) for sigma in maps)
+    """Return the first and last colour of maps of Sigma [Msun/kpc^2] on one scale: the peak is the last.
+
+    Maps without any subhalo have the scale of `EMPTY_PEAK`.
+    """
+    high = max(float(np.max(sigma)) for sigma in maps) or EMPTY_PEAK
     if not 0.0 < high < np.inf:
-        raise ValueError(f"the largest surface density is {high}: there is no substructure to show")
+        raise ValueError(f"the largest surface density must be finite and >= 0, got {high}")
     return high / 10.0**DECADES, high
 
 

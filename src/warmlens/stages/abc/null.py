@@ -17,8 +17,6 @@ from warmlens.inference.summary_sets import Summary
 from warmlens.stages.abc.numbers import to_json_types
 from warmlens.types import IntArray
 
-MAX_REACHING = 0.05  # fraction of mocks without substructure that may give a bound as high
-
 
 def null_numbers(
     test: NullTest,
@@ -60,19 +58,6 @@ def null_numbers(
             "distance_p": {kind: value.p_value for kind, value in predictive.items()},
         }
     )
-
-
-def null_warnings(test: NullTest, analysis: Analysis, n_failed: int) -> list[str]:
-    """Return what the null test says against the bound."""
-    warnings = []
-    reaching = test.fraction_reaching(analysis.bounds[HEADLINE].value_kev)
-    if reaching > MAX_REACHING:
-        warnings.append(
-            f"null test: {reaching:.0%} of {len(test.bounds)} mocks without substructure give a bound as high"
-        )
-    if n_failed:
-        warnings.append(f"null test: {n_failed} mocks without substructure failed and are left out")
-    return warnings
 
 
 def null_datasets(

@@ -11,14 +11,15 @@ import pandas as pd
 
 from warmlens.artifacts.file import Dataset
 from warmlens.inference.acceptance import KINDS
-from warmlens.inference.analysis import MIN_TABLE, Adjusted, Analysis, Calibration
-from warmlens.inference.bound import HEADLINE, MIN_FOR_BOUND, Bound
+from warmlens.inference.analysis import Adjusted, Analysis, Calibration
+from warmlens.inference.bound import HEADLINE, Bound
 from warmlens.inference.calibration import CDM_LIKE_KEV, MASS_BINS_KEV, MIN_ROWS, Coverage
 from warmlens.inference.checks import Predictive
 from warmlens.inference.combine import Forecast
 from warmlens.inference.likelihood import BoundaryKernels
 from warmlens.inference.summary_sets import Summary
 from warmlens.inference.table import Table
+from warmlens.inference.verdict import Judgement
 from warmlens.types import BoolArray, FloatArray
 
 _COLUMNS = {
@@ -143,15 +144,15 @@ def answer_numbers(
     analysis: Analysis,
     predictive: Mapping[str, Predictive],
     forecasts: Sequence[Forecast],
-    warnings: list[str],
+    judgement: Judgement,
 ) -> dict[str, Any]:
-    """Return every headline number with its error and its warnings, as plain values; None where unknown."""
+    """Return every headline number with its error and the verdict on it, as plain values; None where unknown."""
     acceptance = analysis.acceptance
     result = {
+        **judgement.numbers(),
         "headline": HEADLINE,
         "bounds": {name: dataclasses.asdict(bound) for name, bound in analysis.bounds.items()},
-        "quotable": quotable(analysis),
-        "warnings": warnings,
+        "warnings": judgement.warnings,
         "acceptance": acceptance.rule,
         "fraction": acceptance.fraction,
         "n_accepted": acceptance.k,
@@ -181,12 +182,6 @@ def answer_numbers(
         "posterior_predictive_p": {kind: value.p_value for kind, value in predictive.items()},
     }
     return to_json_types(result)
-
-
-def quotable(analysis: Analysis) -> bool:
-    """Return whether the bound may be quoted: enough samples, and an observation that lies among them."""
-    enough = analysis.acceptance.k >= MIN_FOR_BOUND and analysis.acceptance.n >= MIN_TABLE
-    return enough and not analysis.cloud.warnings
 
 
 def _bound_or_text(bound: Bound | str) -> dict[str, Any]:

@@ -16,12 +16,13 @@ from warmlens.inference.bound import HEADLINE, TooFewError
 from warmlens.inference.checks import Predictive, Rank, posterior_predictive, rank_among
 from warmlens.inference.combine import Forecast, cold_ratios, forecast
 from warmlens.inference.distance import correlation_distance, cumulative_distance
-from warmlens.inference.null import null_test
+from warmlens.inference.null import NullTest, null_test
 from warmlens.inference.summary_sets import LEARNED, SETS, Summary, kinds_of, learned_points, points, summary_set
 from warmlens.inference.table import Table
+from warmlens.inference.verdict import MEASURED, Reason, judge_bound
 from warmlens.sampling import stream
 from warmlens.stage_table import AbcSettings
-from warmlens.stages.abc.null import null_datasets, null_numbers, null_warnings
+from warmlens.stages.abc.null import null_datasets, null_numbers
 from warmlens.stages.abc.numbers import add_columns, answer_datasets, answer_numbers, to_json_types
 from warmlens.stages.abc.tables import Samples, read_samples, scalars, write_answer
 from warmlens.stages.job import Job
@@ -43,9 +44,12 @@ def run(job: Job[AbcSettings]) -> None:
     predictive = _predictive(samples, analysis, null=False)
     single = scalars(samples.summaries, samples.grids)
     ranks = {name: rank_among(values.samples, float(values.observed)) for name, values in single.items()}
-    of_null, null_arrays, null_notes = _null_test(settings, samples, table, kinds, single, analysis)
-    warnings = [*analysis.warnings, *_rank_warnings(ranks), *null_notes, *samples.warnings]
-    for warning in warnings:
+    null, of_null, null_arrays = _null_test(settings, samples, table, kinds, single, analysis)
+    judgement = judge_bound(
+        table, analysis, null, [*samples.reasons, *_rank_warnings(ranks), *_null_failures(samples)]
+    )
+    log.warning("the bound is %s: %s", judgement.verdict, "; ".join(judgement.because))
+    for warning in judgement.warnings:
         log.warning(warning)
     rows = add_columns(samples.table, samples.good, _paper_distances(samples), single, table.kinds, analysis)
     metadata: dict[str, Any] = {
@@ -55,7 +59,7 @@ def run(job: Job[AbcSettings]) -> None:
         "kinds": list(table.kinds),
         "distance": block.distance,
         "prior": settings.dark_matter.model_dump(mode="json"),
-        **answer_numbers(analysis, predictive, _forecast(settings, table, analysis), warnings),
+        **answer_numbers(analysis, predictive, _forecast(settings, table, analysis), judgement),
         "observation_among_samples": {name: dataclasses.asdict(rank) for name, rank in ranks.items()},
         "null_test": of_null,
         "summary_sets": _summary_sets(settings, samples, kinds, missing),
@@ -134,11 +138,15 @@ def _paper_distances(samples: Samples) -> FloatArray:
     )
 
 
-def _rank_warnings(ranks: Mapping[str, Rank]) -> list[str]:
+def _rank_warnings(ranks: Mapping[str, Rank]) -> list[Reason]:
     """Return the summaries in which hardly any sample is like the observation."""
     return [
-        f"the observation is at the edge of the samples in {name}: {rank.rank:.1%} of them lie below its "
-        f"{rank.observed:.4g} (p = {rank.p_value:.2g}); mocks and observation may differ in more than substructure"
+        Reason(
+            MEASURED,
+            f"the observation is at the edge of the samples in {name}: {rank.rank:.1%} of them lie below its "
+            f"{rank.observed:.4g} (p = {rank.p_value:.2g}); mocks and observation may differ in more than "
+            "substructure",
+        )
         for name, rank in ranks.items()
         if rank.p_value < MIN_RANK_P
     ]
@@ -151,11 +159,10 @@ def _null_test(
     kinds: Mapping[str, Summary],
     single: Mapping[str, Summary],
     analysis: Analysis,
-) -> tuple[dict[str, Any] | None, dict[str, Dataset], list[str]]:
-    """Return numbers, arrays and warnings of the null test; nothing if there is none."""
+) -> tuple[NullTest | None, dict[str, Any] | None, dict[str, Dataset]]:
+    """Return the null test with its numbers and arrays; nothing if there is none."""
     if not samples.null_id.size:
-        n_failed = samples.n_null_failed
-        return None, {}, [f"null test: all {n_failed} mocks without substructure failed"] if n_failed else []
+        return None, None, {}
     block = settings.abc
     rng = stream(settings.seed, "abc/null", 0)
     nulls = [kinds[kind].null for kind in table.kinds]
@@ -164,7 +171,13 @@ def _null_test(
     predictive = _predictive(samples, analysis, null=True)
     described = null_numbers(test, table.kinds, analysis, ranks, predictive, samples.n_null_failed)
     arrays = null_datasets(samples.null_id, test, single, predictive)
-    return described, arrays, null_warnings(test, analysis, samples.n_null_failed)
+    return test, described, arrays
+
+
+def _null_failures(samples: Samples) -> list[Reason]:
+    n_failed, n = samples.n_null_failed, samples.n_null_failed + samples.null_id.size
+    text = f"null test: {n_failed} of {n} mocks without substructure failed and are left out"
+    return [Reason(MEASURED, text)] if n_failed else []
 
 
 def _summary_sets(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,9 +13,20 @@ import numpy as np
 import pandas as pd
 
 from warmlens.artifacts.chain import check_chains
-from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, atomic_path, open_artifact
+from warmlens.artifacts.code_version import code_commit
+from warmlens.artifacts.file import (
+    Artifact,
+    ArtifactError,
+    Dataset,
+    Header,
+    atomic_path,
+    open_artifact,
+    open_input,
+)
+from warmlens.inference.memory import peak_mb
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE, Summary
 from warmlens.inference.table import Table
+from warmlens.inference.verdict import Reason, code_reasons, failure_reasons, misfit_reasons
 from warmlens.products.answer import answer_numbers, table_text
 from warmlens.products.samples import OK
 from warmlens.stage_table import AbcSettings
@@ -22,7 +34,10 @@ from warmlens.stages.job import Job
 from warmlens.stages.summaries import COMBINED
 from warmlens.types import BoolArray, FloatArray, IntArray
 
-_SAMPLES = ("sample_id", "m_th_kev", "log10_m_halo_msun", "status")
+log = logging.getLogger(__name__)
+
+_PARAMETERS = ("m_th_kev", "log10_m_halo_msun")
+_SAMPLES = ("sample_id", *_PARAMETERS, "status")
 _GRIDS = {"correlation": "separation", "cumulative": "thresholds", "counts": "count_thresholds"}
 
 
@@ -38,12 +53,12 @@ class Samples:
     # Numbers of the null test's mocks that have summaries, and how many failed
     null_id: IntArray
     n_null_failed: int
-    warnings: list[str]  # of the smooth model, and of failed samples
+    reasons: list[Reason]  # for the verdict, from the smooth model, the failed samples and the code
 
     @property
     def parameters(self) -> FloatArray:
         """Relic mass [keV] and log10 of the halo mass of the good samples [n_good, 2]."""
-        return self.table[self.good][["m_th_kev", "log10_m_halo_msun"]].to_numpy()
+        return self.table[self.good][list(_PARAMETERS)].to_numpy()
 
     def points(self, settings: AbcSettings, kinds: Mapping[str, Summary]) -> Table:
         """Return the good samples with some kinds of summaries as points, by name."""
@@ -72,12 +87,14 @@ def read_samples(job: Job[Any]) -> Samples:
         If the chain does not hold, samples are missing, or more failed than `abc.max_failed_fraction` allows.
     """
     settings: AbcSettings = job.settings
-    check_chains(job.sources.values(), settings.upstream)
+    headers = check_chains(job.sources.values(), settings.upstream)
     table = read_table(job.paths("summaries"), settings.n_samples)
     good = (table["status"] == OK).to_numpy()
     with job.open("smooth_model") as smooth_model:
-        warnings = list(smooth_model.metadata["warnings"])
-    warnings += _check_failures(table, good, settings.abc.max_failed_fraction)
+        reasons = misfit_reasons(smooth_model.metadata["problems"], smooth_model.metadata["notes"])
+    _check_failures(table, good, settings.abc.max_failed_fraction)
+    reasons += failure_reasons({name: table[name].to_numpy() for name in _PARAMETERS}, ~good)
+    reasons += _code_reasons(job.stage.name, headers)
     with job.open("observed_summary") as observed:
         response = RESPONSE if "amplitude" in observed.settings["scan"]["statistics"] else ()
         names = (*PAPER, *COUNTS, *response)
@@ -85,7 +102,7 @@ def read_samples(job: Job[Any]) -> Samples:
         target = _arrays(observed, names)
     chunks = []
     for path in job.paths("summaries"):
-        with open_artifact(path, "summaries") as artifact:
+        with open_input(path, "summaries") as artifact:
             chunks.append(_arrays(artifact, names))
     nulls = {name: np.empty((0, *values.shape)) for name, values in target.items()}
     null_id, n_null_failed = np.empty(0, dtype=np.int64), 0
@@ -98,7 +115,10 @@ def read_samples(job: Job[Any]) -> Samples:
     for name in names:
         rows = np.concatenate([chunk[name] for chunk in chunks])[: len(good)]  # chunks may reach beyond the last
         summaries[name] = Summary(rows[good], target[name], nulls[name])
-    return Samples(table, good, summaries, grids, null_id, n_null_failed, warnings)
+    n_numbers = sum(values.size for values in target.values())
+    expected = peak_mb(len(table), n_numbers, settings.abc.bootstrap, settings.abc.leave_one_out)
+    log.info("%d samples with %d numbers each: at most %d MB of memory", len(table), n_numbers, expected)
+    return Samples(table, good, summaries, grids, null_id, n_null_failed, reasons)
 
 
 def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
@@ -111,7 +131,7 @@ def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
     """
     frames = []
     for path in summaries:
-        with open_artifact(path, "summaries") as artifact:
+        with open_input(path, "summaries") as artifact:
             frame = pd.DataFrame({name: artifact.array(f"samples/{name}") for name in _SAMPLES})
             frame["message"] = artifact.strings("samples/message")
         frames.append(frame)
@@ -126,8 +146,17 @@ def read_table(summaries: Sequence[Path], n_samples: int) -> pd.DataFrame:
     return table
 
 
-def _check_failures(table: pd.DataFrame, good: BoolArray, max_failed_fraction: float) -> list[str]:
-    """Return a warning of the failed samples, if there are any; refuse too many."""
+def _code_reasons(stage: str, headers: Sequence[Header]) -> list[Reason]:
+    """Judge the code that made all samples, and that of this stage."""
+    codes: dict[str, set[str]] = {}
+    for header in headers:
+        codes.setdefault(header.stage, set()).add(header.code)
+    uncommitted = {header.stage for header in headers if header.git_dirty}
+    return code_reasons(codes, uncommitted | ({stage} if code_commit()[1] else set()))
+
+
+def _check_failures(table: pd.DataFrame, good: BoolArray, max_failed_fraction: float) -> None:
+    """Refuse a table of which too many samples failed."""
     n_failed = int((~good).sum())
     if n_failed > max_failed_fraction * len(table):
         first = table[~good].iloc[0]
@@ -136,7 +165,6 @@ def _check_failures(table: pd.DataFrame, good: BoolArray, max_failed_fraction: f
             f"{max_failed_fraction:g} allows; sample {first['sample_id']}: {first['message']} (the tracebacks are "
             "in the artifacts)"
         )
-    return [f"{n_failed} of {len(table)} samples failed and are left out"] if n_failed else []
 
 
 def _arrays(artifact: Artifact, names: Sequence[str]) -> dict[str, FloatArray]:
@@ -169,4 +197,4 @@ def write_answer(
     with atomic_path(job.output.with_suffix(".csv")) as temporary:
         temporary.write_bytes(table)
     with atomic_path(job.output.with_suffix(".json")) as temporary:
-        temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n")
+        temporary.write_text(json.dumps(numbers, indent=2, allow_nan=False) + "\n", encoding="utf-8")
