@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import errno
 import io
 import os
 import shutil
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -203,6 +205,23 @@ def test_a_damaged_artifact_is_recomputed_with_what_was_made_from_it(
         "abc": 1,
     }
     assert "mocks/chunk-0000000-0000005.h5: damaged" in present.describe()
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EACCES, errno.ESTALE, errno.EMFILE])
+def test_what_the_system_refuses_to_read_now_is_not_recomputed(
+    config: Config, number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = stage_file(config, "mocks", (0, 5))
+    opened = h5py.File
+
+    def refuse(name: Path, *arguments: Any, **options: Any) -> h5py.File:
+        if Path(name).resolve() == path.resolve():
+            raise OSError(number, f"Unable to open (errno = {number}, error message = '{os.strerror(number)}')")
+        return opened(name, *arguments, **options)
+
+    monkeypatch.setattr(h5py, "File", refuse)
+    with pytest.raises(ArtifactError, match="cannot be read now"):
+        compare_present(config)
 
 
 @fault(

@@ -211,6 +211,11 @@ def _damaged(error: Exception, what: str) -> str:
     return f"{what} is damaged, or is not what its stage writes ({type(error).__name__}: {error}); {_REMEDY}"
 
 
+def is_passing(error: Exception | None) -> bool:
+    """Return whether a file could not be read for a reason that lies outside of it and may pass."""
+    return any(words in str(error) for words in ("cannot be read now", "is being written by another program"))
+
+
 def _what_failed(error: OSError, what: str, otherwise: str = "") -> str:
     """Say why `what` cannot be read, and what to do: the fault of the system, else `otherwise` or damage."""
     text = " ".join(str(error).split())

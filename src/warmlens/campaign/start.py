@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from warmlens.artifacts.chain import Chain, Finding, Record
-from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
+from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest, is_passing
 from warmlens.artifacts.names import ANSWER_FILES, CONFIG, CRATE, LEDGER, MANIFEST, REPORT, STARTED
 from warmlens.campaign.answer import settings_changes
 from warmlens.campaign.derived import (
@@ -105,7 +105,13 @@ class Present:
 
 
 def compare_present(config: Config) -> Present:
-    """Compare every artifact in the results folder with the configuration and with its inputs, by the headers."""
+    """Compare every artifact in the results folder with the configuration and with its inputs, by the headers.
+
+    Raises
+    ------
+    ArtifactError
+        If the system refuses to read one: it may be sound.
+    """
     outside = _outside_digests(config)
     digests = stage_digests(config)
     chain, answer = Chain(digests), campaign_stages(config)[-1]
@@ -123,6 +129,8 @@ def compare_present(config: Config) -> Present:
             if record.header is not None:
                 known[path] = record.header.digest
             finding = _first_finding(record, outside)
+            if finding is not None and is_passing(finding.cause):  # the file may be as sound as before
+                raise finding.to_error()
             follows = _follows(config, stage, span, stale)
             if finding is not None:
                 broken[path] = finding
