@@ -65,7 +65,7 @@ EDITS: dict[str, tuple[str, Callable[[str], str]]] = {
     "a column": ("abc.csv", lambda text: text.replace("weight", "height", 1)),
     "a row": ("abc.csv", lambda text: text[: text.rstrip().rindex("\n") + 1]),
     "data": ("figures/posterior.csv", lambda text: text.replace("1", "2", 1)),
-    "page": ("report.html", lambda text: text.replace("not to be quoted", "to be quoted", 1)),
+    "page": ("report.html", lambda text: text.replace("not usable", "measured", 1)),
 }
 
 

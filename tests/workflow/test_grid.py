@@ -51,7 +51,7 @@ def test_grid_to_exclusion(copy_of: Callable[[], Project]) -> None:
     shown = project.warmlens("result", "results/grid")
     assert shown.returncode == 0, shown.stderr
     assert "no halo mass is excluded at 95.45%" in shown.stdout
-    assert "WARNING 6 accepted samples cannot exclude a halo mass" in shown.stdout.replace("\n", " ")
+    assert "warning 6 accepted samples cannot exclude a halo mass" in shown.stdout.replace("\n", " ")
     audit = project.warmlens("audit", "results/grid")
     assert audit.returncode == 0, audit.stdout
     assert "exclusion" in project.warmlens("status", "results/grid").stdout

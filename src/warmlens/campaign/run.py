@@ -54,15 +54,14 @@ def run(config: Config, overlays: Sequence[Path], cores: int, extra: Sequence[st
     folder, results = Path(), Path(config.results)
     if not (folder / "Snakefile").is_file():
         raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
+    lift_abandoned_lock(folder, overlays)
     for line in check_observation(config):
         print(line, flush=True)
-    lift_abandoned_lock(folder, overlays)
     bring_back_from_the_future(results)
     own_profile = any(word.startswith("--workflow-profile") for word in extra)
     size = None if own_profile and not cores else cores or default_cores()
-    os.environ[YES] = (
-        "1" if yes else os.environ.get(YES) or ASK
-    )  # Snakemake asks, once it knows what it would make
+    # Snakemake asks, once it knows what it would make
+    os.environ[YES] = "1" if yes else os.environ.get(YES) or ASK
     return _watch([SNAKEMAKE, *arguments(size, overlays, extra)], results, cores or default_cores())
 
 

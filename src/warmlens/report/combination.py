@@ -36,7 +36,6 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
     """
     if len(results) < 2:
         raise ArtifactError("combine needs the results folders of at least two campaigns, each of another lens")
-    check_different([_Observed.read(folder) for folder in results])
     lenses: list[LikelihoodRatio] = []
     warnings: list[str] = []
     verdicts: dict[str, Verdict] = {}
@@ -45,6 +44,7 @@ def combine_results(results: Sequence[Path], output: Path | None) -> dict[str, A
             lenses.append(_read_ratio(artifact))
             verdicts[str(folder)] = artifact.metadata["verdict"]
             warnings += [f"{folder}: {text}" for text in artifact.metadata["warnings"]]
+    check_different([_Observed.read(folder) for folder in results])
     try:
         combined = combine(lenses)
     except ValueError as error:
