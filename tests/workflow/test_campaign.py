@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-import pytest
 
 from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import CHUNKED, FIGURE_GROUPS, FIGURES
