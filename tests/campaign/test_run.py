@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -153,6 +154,19 @@ def test_lock_of_unknown_owner_is_not_lifted(campaign: Path, called: list[list[s
     with pytest.raises(LockedError):
         front_end.resume(campaign, 2, [])
     assert not called and Path(".snakemake/locks/0.output.lock").exists()
+
+
+def test_a_lock_that_cannot_be_lifted_is_one_line(
+    campaign: Path, called: list[list[str]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As when a variable of the configuration is unset: Snakemake reads it before it lifts a lock."""
+    for place in ("locks/0.output.lock", f"warmlens-runs/{socket.gethostname()}-17.json"):
+        (Path(".snakemake") / place).parent.mkdir(parents=True)
+        (Path(".snakemake") / place).touch()
+    monkeypatch.setattr(front_end, "SNAKEMAKE", "false")
+    with pytest.raises(LockedError, match="could not be lifted, as said above"):
+        front_end.resume(campaign, 2, [])
+    assert not called
 
 
 def _watching(child: str, patience: float = 15.0) -> str:

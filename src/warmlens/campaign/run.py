@@ -15,6 +15,7 @@ from typing import Any
 from warmlens.artifacts.file import ArtifactError, atomic_path
 from warmlens.artifacts.names import CONFIG, EXTENDED
 from warmlens.campaign import locks
+from warmlens.campaign.locks import LockedError
 from warmlens.campaign.preflight import check_observation
 from warmlens.campaign.snakemake import SNAKEMAKE, arguments, recorded_results
 from warmlens.campaign.start import ASK, YES
@@ -107,8 +108,10 @@ def lift_abandoned_lock(folder: Path, overlays: Sequence[Path]) -> None:
     """
     if locks.is_locked(folder):
         locks.check_abandoned(folder)
+        command = [SNAKEMAKE, *arguments(1, overlays), "--unlock", "--quiet"]
+        if subprocess.run(command, cwd=folder, check=False).returncode:
+            raise LockedError(f"{folder.resolve()}: the lock of a killed run could not be lifted, as said above")
         print("the last run was killed; its lock is lifted, what it had finished is kept", flush=True)
-        subprocess.run([SNAKEMAKE, *arguments(1, overlays), "--unlock", "--quiet"], cwd=folder, check=True)
     locks.forget_gone(folder)
 
 
