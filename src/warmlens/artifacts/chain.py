@@ -169,17 +169,20 @@ def walk(
         return record
 
     seen = {path.resolve() for path in files}
-    with ThreadPoolExecutor(_THREADS) as pool:
-        while files:
-            sources: set[Path] = set()
-            for record in pool.map(compare, files.keys(), files.values()):
-                yield record
-                absent = [finding.absent for finding in record.findings]
-                # those of an observation are files of the user
-                if record.header and None not in absent and record.header.stage != "observation":
-                    sources.update(path.resolve() for path in record.sources.values() if path not in absent)
-            files = dict.fromkeys(sorted(sources - seen), "")
-            seen |= sources
+    while files:
+        sources: set[Path] = set()
+        # Nothing is yielded while threads are open: a generator that is dropped half-way is closed whenever garbage
+        # is collected, maybe inside HDF5's lock, and would wait for ever for threads that need it.
+        with ThreadPoolExecutor(_THREADS) as pool:
+            records = list(pool.map(compare, files.keys(), files.values()))
+        for record in records:
+            yield record
+            absent = [finding.absent for finding in record.findings]
+            # those of an observation are files of the user
+            if record.header and None not in absent and record.header.stage != "observation":
+                sources.update(path.resolve() for path in record.sources.values() if path not in absent)
+        files = dict.fromkeys(sorted(sources - seen), "")
+        seen |= sources
 
 
 def check_chains(paths: Iterable[Path], expected_settings: Mapping[str, str]) -> list[Header]:
