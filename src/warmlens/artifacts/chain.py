@@ -171,8 +171,8 @@ def walk(
     seen = {path.resolve() for path in files}
     while files:
         sources: set[Path] = set()
-        # Nothing is yielded while threads are open: a generator that is dropped half-way is closed whenever garbage
-        # is collected, maybe inside HDF5's lock, and would wait for ever for threads that need it.
+        # Nothing is yielded while threads are open: a generator that is dropped half-way is closed when garbage is
+        # collected, maybe inside HDF5's lock, and would wait for ever for threads that need it.
         with ThreadPoolExecutor(_THREADS) as pool:
             records = list(pool.map(compare, files.keys(), files.values()))
         for record in records:
