@@ -380,7 +380,7 @@ def test_chi2_far_below_the_range_is_refused(
             run(block, tmp_path)
         block |= {"chi2_red_range": [0.6, 1.1]} if factor < 2.0 else {"allow_poor_fit": True}
     with open_artifact(run(block, tmp_path), "smooth_model") as artifact:
-        (warning,) = artifact.metadata["warnings"]
+        (warning,) = artifact.metadata["problems"] + artifact.metadata["notes"]
     assert "below 0." in warning
 
 

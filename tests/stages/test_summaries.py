@@ -51,7 +51,7 @@ def _write(folder: Path, statistics: list[str], n: int | None, stage: str = "sca
 
 def _abc(config: Config, folder: Path, null: bool, summaries: str = "s.h5") -> Job[AbcSettings]:
     """Run of `abc` on these summaries."""
-    write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, {"warnings": []})
+    write_artifact(folder / "smooth.h5", Provenance("smooth_model", {}), {}, {"problems": [], "notes": []})
     block = config.abc.model_copy(update={"max_failed_fraction": 0.5})
     settings = AbcSettings(seed=1, n_samples=N, dark_matter=config.dark_matter, abc=block, upstream={})
     inputs = {

@@ -68,4 +68,4 @@ def test_real_image_to_posterior(project: Project) -> None:
     assert delta_r.min() < -20.0  # misfit that a perturber takes up
     with open_artifact(project.results / "abc.h5", "abc") as artifact:
         assert artifact.metadata["n_accepted"] == 4
-        assert any("chi2_red" in line for line in artifact.metadata["problems"] + artifact.metadata["notes"])
+        assert any("chi2_red" in line for line in artifact.metadata["reasons"])
