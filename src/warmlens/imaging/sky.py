@@ -22,7 +22,7 @@ from warmlens.types import FloatArray
 
 TOLERANCE_PIXELS = 0.05  # between the linear grid and the WCS, and between bands, anywhere on the image
 DISTORTION = re.compile(r"[AB]_ORDER|CPDIS[12]|D2IMDIS[12]|DET2IM[12]")
-_PIXEL_ARCSEC = (1e-4, 60.0)
+PIXEL_ARCSEC = (1e-4, 60.0)
 _AXES = ({"RA", "DEC"}, {"GLON", "GLAT"})
 _INSTEAD = "set observation.fits.BAND.pixel_scale_arcsec and center_pixel"
 
@@ -118,7 +118,7 @@ class SkyFrame:
             raise _unusable(self.path, " ".join(str(error).split())[:300]) from error
         own = np.array([[-1.0], [1.0]]) * own
         sides = np.hypot(*own)
-        if not all(_PIXEL_ARCSEC[0] <= side <= _PIXEL_ARCSEC[1] for side in sides):
+        if not all(PIXEL_ARCSEC[0] <= side <= PIXEL_ARCSEC[1] for side in sides):
             raise ValueError(
                 f"{self.path}: its WCS gives pixels of {sides[0]:g} x {sides[1]:g} arcsec; {_INSTEAD}"
             )

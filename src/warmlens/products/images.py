@@ -18,7 +18,7 @@ from warmlens.imaging.noise import NoiseModel
 from warmlens.imaging.noise_checks import FAINT_NOISE, IGNORED_NOISE, uninformative
 from warmlens.imaging.noise_correlation import checked_correlation, sky_noise
 from warmlens.imaging.observation import Band, Observation, checked_band
-from warmlens.imaging.sky import TOLERANCE_PIXELS, SkyFrame, border, sky_offsets
+from warmlens.imaging.sky import PIXEL_ARCSEC, TOLERANCE_PIXELS, SkyFrame, border, sky_offsets
 from warmlens.products.observation import read_observation
 from warmlens.types import BoolArray, FloatArray
 
@@ -222,8 +222,13 @@ def _square_step(path: Path, step: FloatArray, origin: tuple[float, float], shap
 
     A small distortion is left out if no pixel of the image moves by more than the tolerance of the WCS.
     """
-    scale = float(np.hypot(*step[:, 0]))
-    axes = step / scale
+    columns_and_rows = np.hypot(*step)
+    if not all(PIXEL_ARCSEC[0] <= side <= PIXEL_ARCSEC[1] for side in columns_and_rows):
+        raise ValueError(
+            f"{path}: pixels of {columns_and_rows[0]:g} x {columns_and_rows[1]:g} arcsec; "
+            "correct its WCS, or observation.fits.BAND.pixel_scale_arcsec"
+        )
+    axes = step / columns_and_rows[0]
     if np.allclose(axes.T @ axes, np.eye(2), atol=_SHAPE_TOLERANCE):
         return step
     left, sides, right = np.linalg.svd(step)
