@@ -72,7 +72,7 @@ def test_a_home_that_cannot_be_written(
     assert folder.is_dir() and folder.name == "kernels-a"
     assert str(folder.parents[1]) == environment["XDG_CACHE_HOME"], "for Snakemake and matplotlib too"
     assert "set XDG_CACHE_HOME to a folder" in runtime.lost_cache()
-    assert runtime.lost_cache() == "", "it is said once"
+    assert runtime.lost_cache() == "", "it is reported once"
     outcome.goes_on("compiled for that process, with a warning", "nothing")
 
 

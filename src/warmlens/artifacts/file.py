@@ -53,6 +53,10 @@ class ArtifactError(RuntimeError):
     """An artifact is missing, damaged, of another kind, or cannot be written."""
 
 
+class UnreadableNowError(ArtifactError):
+    """The system refuses to read an artifact, for a reason that lies outside of it and may pass."""
+
+
 @dataclass(frozen=True)
 class Dataset:
     """One array of an artifact, with one name per dimension in `axes`.
@@ -200,7 +204,7 @@ def reading(path: Path, what: str = "the file") -> Iterator[None]:
     except (ArtifactError, MemoryError):
         raise
     except OSError as error:
-        raise ArtifactError(f"{path}: {_what_failed(error, what)}") from error
+        raise _not_read(path, error, what) from error
     except UnusableFileError as error:
         raise ArtifactError(f"{path}: no artifact of this program: {error}; {_REMEDY}") from error
     except Exception as error:
@@ -211,22 +215,21 @@ def _damaged(error: Exception, what: str) -> str:
     return f"{what} is damaged, or is not what its stage writes ({type(error).__name__}: {error}); {_REMEDY}"
 
 
-def is_passing(error: Exception | None) -> bool:
-    """Return whether a file could not be read for a reason that lies outside of it and may pass."""
-    return any(words in str(error) for words in ("cannot be read now", "is being written by another program"))
-
-
-def _what_failed(error: OSError, what: str, otherwise: str = "") -> str:
-    """Say why `what` cannot be read, and what to do: the fault of the system, else `otherwise` or damage."""
+def _not_read(path: Path, error: OSError, what: str, otherwise: str = "") -> ArtifactError:
+    """Return the error for a file that cannot be read: the fault of the system, else `otherwise` or damage."""
     text = " ".join(str(error).split())
     if "already open for write" in text:
-        return f"{what} is being written by another program, or that was killed: end it, or {_REMEDY}"
+        return UnreadableNowError(
+            f"{path}: {what} is being written by another program, or that was killed: end it, or {_REMEDY}"
+        )
     words = _ERRNO.search(text)
     number = int(words[1]) if words else error.errno
     if number is None or number in _OF_THE_FILE:
-        return otherwise or _damaged(error, what)
+        return ArtifactError(f"{path}: {otherwise or _damaged(error, what)}")
     lock = "set HDF5_USE_FILE_LOCKING=FALSE" if "lock" in text else "mend that"
-    return f"{what} cannot be read now: {os.strerror(number)} (errno {number}); {lock} and repeat the command"
+    return UnreadableNowError(
+        f"{path}: {what} cannot be read now: {os.strerror(number)} (errno {number}); {lock} and repeat the command"
+    )
 
 
 def write_artifact(
@@ -370,7 +373,7 @@ def open_artifact(path: Path, *stages: str) -> Iterator[Artifact]:
         file = h5py.File(path, "r", locking=False)  # no lock is needed: a finished file is replaced, never changed
     except OSError as error:
         otherwise = f"not a readable HDF5 file ({error}); {_REMEDY}"
-        raise ArtifactError(f"{path}: {_what_failed(error, 'the file', otherwise)}") from error
+        raise _not_read(path, error, "the file", otherwise) from error
     with file:
         with reading(path):
             artifact = _checked(path, file)

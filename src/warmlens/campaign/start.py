@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from warmlens.artifacts.chain import Chain, Finding, Record
-from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest, is_passing
+from warmlens.artifacts.file import ArtifactError, UnreadableNowError, atomic_path, input_digest
 from warmlens.artifacts.names import ANSWER_FILES, CONFIG, CRATE, LEDGER, MANIFEST, REPORT, STARTED
 from warmlens.campaign.answer import settings_changes
 from warmlens.campaign.derived import (
@@ -129,8 +129,8 @@ def compare_present(config: Config) -> Present:
             if record.header is not None:
                 known[path] = record.header.digest
             finding = _first_finding(record, outside)
-            if finding is not None and is_passing(finding.cause):  # the file may be as sound as before
-                raise finding.to_error()
+            if finding is not None and isinstance(finding.cause, UnreadableNowError):  # it may be sound
+                raise finding.cause
             follows = _follows(config, stage, span, stale)
             if finding is not None:
                 broken[path] = finding

@@ -238,7 +238,8 @@ def code_reasons(codes: Mapping[str, Collection[str]], uncommitted: Collection[s
         if len(versions) > 1:
             text = (
                 f"{name} were made by {len(versions)} versions of the code ({', '.join(stages)}): "
-                "samples and observation were not treated alike; remove those of the older one and run again"
+                "samples and observation were not treated alike; delete the artifacts of these stages and run the "
+                "campaign again"
             )
             reasons.append(Reason(NOT_USABLE, text))
     if uncommitted:
