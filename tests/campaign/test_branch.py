@@ -10,6 +10,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
+import h5py
 import numpy as np
 import pytest
 
@@ -169,6 +170,23 @@ def test_a_damaged_or_missing_artifact_of_the_base_is_recomputed(
     _run(variant)
     assert _sound(variant)
     assert second.samefile(stage_files(variant, "halos")[1])
+
+
+def test_what_the_system_refuses_to_read_now_is_not_removed(base: Config, monkeypatch: pytest.MonkeyPatch) -> None:
+    variant = _taken(base, "results/variant")
+    branch(Path(base.results), variant)
+    linked = stage_files(variant, "halos")[0]
+    opened = h5py.File
+
+    def refuse(name: Path, *arguments: Any, **options: Any) -> h5py.File:
+        if Path(name) == linked:
+            raise PermissionError(errno.EACCES, "Permission denied")
+        return opened(name, *arguments, **options)
+
+    monkeypatch.setattr(h5py, "File", refuse)
+    with pytest.raises(ArtifactError, match="cannot be read now"):
+        branch(Path(base.results), variant)
+    assert linked.exists()
 
 
 def test_an_interrupted_branch_is_completed(base: Config, monkeypatch: pytest.MonkeyPatch) -> None:

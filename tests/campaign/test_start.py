@@ -19,6 +19,8 @@ import pytest
 
 from warmlens.artifacts.file import ArtifactError, Dataset
 from warmlens.artifacts.names import STARTED
+from warmlens.audit.campaign import audit_campaign
+from warmlens.audit.mending import mending
 from warmlens.campaign.files import artifact_files, campaign_job, stage_file, stage_inputs, stage_spans
 from warmlens.campaign.start import YES, Present, check_consent, compare_present, order_times, write_started
 from warmlens.config.file import parse_config
@@ -222,6 +224,11 @@ def test_what_the_system_refuses_to_read_now_is_not_recomputed(
     monkeypatch.setattr(h5py, "File", refuse)
     with pytest.raises(ArtifactError, match="cannot be read now"):
         compare_present(config)
+    audit = audit_campaign(config)
+    assert [record.path for record in audit.artifacts if record.verdict == "unreadable"] == [path]
+    mend = mending(audit)
+    assert path not in mend.remove, "it may be sound"
+    assert f"make {path} readable: it may be sound" in mend.advice
 
 
 @fault(

@@ -13,6 +13,7 @@ from typing import Literal
 from warmlens.artifacts.file import (
     ArtifactError,
     Header,
+    UnreadableNowError,
     content_digest,
     input_digest,
     open_artifact,
@@ -22,7 +23,7 @@ from warmlens.artifacts.file import (
 from warmlens.artifacts.names import results_folder
 from warmlens.config.observation import FITS_FILES
 
-Verdict = Literal["ok", "missing", "damaged", "altered", "settings", "inputs", "manifest"]
+Verdict = Literal["ok", "missing", "unreadable", "damaged", "altered", "settings", "inputs", "manifest"]
 
 _REMEDY = "delete it and run the campaign again"
 _THREADS = 2  # HDF5 reads one dataset at a time; the other thread hashes meanwhile
@@ -102,9 +103,7 @@ class Chain:
                     if hashed and content_digest(artifact.file, artifact.metadata) != header.digest:
                         findings.append(Finding(path, "altered: its content does not match its digest", "altered"))
         except (ArtifactError, OSError) as error:
-            damaged = Finding(path, f"damaged: {error}", "damaged", error)
-            missing = Finding(path, "missing", "missing", error)
-            return Record(path, stage, header, sources, (damaged if path.exists() else missing,))
+            return Record(path, stage, header, sources, (_unread(path, error),))
         header, sources = self._read[path]
         wanted = self._expected.get(header.stage)
         if wanted is not None and header.settings_sha256 != wanted:
@@ -134,6 +133,17 @@ class Chain:
             header = read_header(source)
             self._read[source] = header, input_paths(header)
         return self._read[source][0].digest
+
+
+def _unread(path: Path, error: ArtifactError | OSError) -> Finding:
+    """Return the finding about an artifact that cannot be read; one that the system refuses may be sound."""
+    if isinstance(error, OSError):
+        error = UnreadableNowError(f"{path}: cannot be read now: {error}; mend that and repeat the command")
+    if isinstance(error, UnreadableNowError):
+        return Finding(path, f"unreadable: {error}", "unreadable", error)
+    if os.path.exists(path):  # noqa: PTH110 (False for a path that the system refuses)
+        return Finding(path, f"damaged: {error}", "damaged", error)
+    return Finding(path, "missing", "missing", error)
 
 
 def walk(

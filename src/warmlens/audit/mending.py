@@ -68,9 +68,11 @@ def _manifest_commands(audit: CampaignAudit) -> tuple[str, ...]:
 
 
 def _is_wrong(record: Record) -> bool:
-    """Return whether a file is to be removed; not for an input that is missing or damaged, which comes first."""
+    """Return whether a file is to be removed; not if it may be sound, nor for its input, which comes first."""
     return any(
-        finding.kind != "missing" and finding.absent is None and not (finding.kind == "inputs" and finding.cause)
+        finding.kind not in ("missing", "unreadable")
+        and finding.absent is None
+        and not (finding.kind == "inputs" and finding.cause)
         for finding in record.findings
     )
 
@@ -101,8 +103,12 @@ def _lacks_artifact(record: Record) -> bool:
 
 
 def _outside_advice(audit: CampaignAudit) -> tuple[str, ...]:
-    """Say what to do about files that do not belong to the campaign, from which the observation was made."""
-    texts = []
+    """Say what to do about what no command mends: files that cannot be read now, and images."""
+    texts = [
+        f"make {finding.path} readable: it may be sound"
+        for finding in audit.findings
+        if finding.kind == "unreadable"
+    ]
     for record in audit.artifacts:
         for finding in record.findings if record.stage == "observation" else ():
             if finding.absent:

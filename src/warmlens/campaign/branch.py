@@ -117,6 +117,8 @@ def _fits(chain: Chain, path: Path, place: Path, stage: str) -> bool:
         return False
     findings = chain.compare(path, stage, place=place).findings
     for finding in findings:
+        if finding.kind == "unreadable":  # it may be sound, and what does not fit is removed
+            raise finding.to_error()
         if finding.cause:
             log.warning("not used, and recomputed: %s", finding.cause)
     return not findings

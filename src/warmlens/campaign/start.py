@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from warmlens.artifacts.chain import Chain, Finding, Record
-from warmlens.artifacts.file import ArtifactError, UnreadableNowError, atomic_path, input_digest
+from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
 from warmlens.artifacts.names import ANSWER_FILES, CONFIG, CRATE, LEDGER, MANIFEST, REPORT, STARTED
 from warmlens.campaign.answer import settings_changes
 from warmlens.campaign.derived import (
@@ -129,8 +129,8 @@ def compare_present(config: Config) -> Present:
             if record.header is not None:
                 known[path] = record.header.digest
             finding = _first_finding(record, outside)
-            if finding is not None and isinstance(finding.cause, UnreadableNowError):  # it may be sound
-                raise finding.cause
+            if finding is not None and finding.kind == "unreadable":  # it may be sound
+                raise finding.to_error()
             follows = _follows(config, stage, span, stale)
             if finding is not None:
                 broken[path] = finding
