@@ -22,7 +22,8 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import campaign_job
 from warmlens.campaign.status import read_campaign

@@ -22,8 +22,10 @@ import yaml
 from rich.console import Console
 from rich.table import Table
 
-from warmlens.artifacts.file import ArtifactError, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import CONFIG, SINGLE
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign import run as front_end
 from warmlens.campaign.files import chunks
 from warmlens.campaign.status import read_campaign

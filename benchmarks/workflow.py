@@ -23,17 +23,11 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.chain import input_paths
-from warmlens.artifacts.file import (
-    ArtifactError,
-    Dataset,
-    Provenance,
-    content_digest,
-    open_artifact,
-    read_header,
-    write_artifact,
-)
+from warmlens.artifacts.file import Dataset, content_digest, open_artifact, read_header
 from warmlens.artifacts.names import CONFIG, CRATE, MANIFEST
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign.derived import derived_files
 from warmlens.campaign.files import artifact_files
 from warmlens.campaign.snakemake import SNAKEMAKE, remaking_command

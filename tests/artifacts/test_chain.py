@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from warmlens.artifacts import chain as chain_module
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.chain import Chain, audit, check_chains, examine, walk
-from warmlens.artifacts.file import (
-    ArtifactError,
-    Dataset,
-    Provenance,
-    write_artifact,
-)
+from warmlens.artifacts.file import Dataset
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.audit.report import age
 from warmlens.campaign.answer import differences
 from warmlens.config.digest import settings_digest

@@ -15,8 +15,11 @@ import h5py
 import numpy as np
 import pytest
 
+from warmlens.artifacts import atomic
 from warmlens.artifacts import file as artifacts
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, open_input, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset, open_artifact, open_input
+from warmlens.artifacts.writing import Provenance, write_artifact
 
 from ..reliability import Outcome, fault
 
@@ -78,7 +81,7 @@ def test_full_disk_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.Mon
     def full(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(artifacts.os, "fsync", full)
+    monkeypatch.setattr(atomic.os, "fsync", full)
     with pytest.raises(ArtifactError, match=r"a\.h5: could not be written: the disk is full"):
         _write(tmp_path / "a.h5", value=3.0)
     assert (tmp_path / "a.h5").read_bytes() == before
@@ -92,7 +95,7 @@ def test_what_a_killed_job_left_is_removed(tmp_path: Path) -> None:
 
 
 def test_room_is_asked_for_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(artifacts.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6))
+    monkeypatch.setattr(atomic.shutil, "disk_usage", lambda _: shutil._ntuple_diskusage(10**9, 10**9, 10**6))
     with pytest.raises(ArtifactError, match=r"the disk is full .*1 MiB free, 0 MiB needed"):
         _write(tmp_path / "a.h5")
     monkeypatch.undo()

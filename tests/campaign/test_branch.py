@@ -14,9 +14,11 @@ import h5py
 import numpy as np
 import pytest
 
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.chain import audit
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.file import Dataset, open_artifact
 from warmlens.artifacts.names import CONFIG, SINGLE
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign.branch import StageBranch, branch
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.start import YES

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.campaign import preflight
 from warmlens.campaign import run as front_end
 from warmlens.campaign.locks import LockedError
 from warmlens.campaign.start import YES
@@ -127,7 +128,7 @@ def test_snakemake_is_told_whether_to_ask(
 def test_what_validate_says_is_printed_first(
     campaign: Path, called: list[list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(front_end, "check_observation", lambda config: [f"checked for {config.results}"])
+    monkeypatch.setattr(preflight, "check_observation", lambda config: [f"checked for {config.results}"])
     front_end.resume(campaign, 2, [])
     assert capsys.readouterr().out.startswith("checked for results/here\n")
 

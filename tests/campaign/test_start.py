@@ -17,7 +17,8 @@ import h5py
 import numpy as np
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, Dataset
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset
 from warmlens.artifacts.names import STARTED
 from warmlens.audit.campaign import audit_campaign
 from warmlens.audit.mending import mending

@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign import status
 from warmlens.campaign.files import note_file, stage_files
 from warmlens.campaign.status import (

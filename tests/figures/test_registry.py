@@ -13,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 from typer.testing import CliRunner
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.names import CONFIG, FIGURES
 from warmlens.campaign.derived import NEEDED, figure_inputs
 from warmlens.campaign.files import stage_files

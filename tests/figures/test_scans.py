@@ -10,8 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts.file import Artifact, ArtifactError, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.artifacts.names import CONFIG
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign.files import stage_files
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config

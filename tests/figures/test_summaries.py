@@ -11,7 +11,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
 from warmlens.campaign.derived import figure_inputs
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config

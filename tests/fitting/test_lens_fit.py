@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 import yaml
 
-from warmlens.artifacts.file import Provenance, open_artifact, write_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.file import parse_config
 from warmlens.config.model import Config
 from warmlens.fitting import judgement

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
-from warmlens.artifacts.file import Provenance, write_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.observation import FitsBandBlock
 from warmlens.imaging.noise_correlation import neighbours
 from warmlens.products.images import input_files, read_band, read_fits

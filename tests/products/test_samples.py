@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.products.samples import FAILED_HERE, FAILED_UPSTREAM, OK, SampleTable
 from warmlens.sampling import draw_parameters
 

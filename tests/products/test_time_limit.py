@@ -44,7 +44,8 @@ import logging, sys
 from pathlib import Path
 import numpy as np
 from numba import njit
-from warmlens.artifacts.file import Dataset, Provenance, write_artifact
+from warmlens.artifacts.file import Dataset
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.sampling import draw_parameters
 from warmlens.products.samples import SampleTable
 

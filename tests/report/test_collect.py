@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 import yaml
 
-from warmlens.artifacts.file import ArtifactError, Provenance, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.names import CHUNKED
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.snakemake import remaking_command
 from warmlens.config.file import parse_config

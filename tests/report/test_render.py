@@ -5,7 +5,7 @@ import struct
 import jinja2
 import pytest
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.report.render import environment, headings, picture, render, scientific, typeset
 
 HOSTILE = "<script>alert(1)</script>"

@@ -6,7 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset, open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.model import CosmologyBlock, RedshiftBlock
 from warmlens.config.scan import ScanBlock
 from warmlens.imaging.grid import PixelGrid

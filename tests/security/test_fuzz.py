@@ -24,15 +24,10 @@ from astropy.io import fits
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.chain import audit, check_chains, input_paths
-from warmlens.artifacts.file import (
-    ArtifactError,
-    Dataset,
-    Provenance,
-    content_digest,
-    open_artifact,
-    write_artifact,
-)
+from warmlens.artifacts.file import Dataset, content_digest, open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign.files import chunks, shards
 from warmlens.config.file import ConfigError, expand_path, parse_block, parse_config
 from warmlens.config.model import Config

@@ -14,16 +14,10 @@ import h5py
 import numpy as np
 import pytest
 
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.chain import audit, check_chains, input_paths
-from warmlens.artifacts.file import (
-    ArtifactError,
-    Dataset,
-    Provenance,
-    content_digest,
-    input_digest,
-    open_artifact,
-    write_artifact,
-)
+from warmlens.artifacts.file import Dataset, content_digest, input_digest, open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.digest import settings_digest
 from warmlens.imaging.grid import PixelGrid
 from warmlens.products.observation import copy_bands, read_observation

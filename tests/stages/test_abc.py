@@ -9,14 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts import file
-from warmlens.artifacts.file import (
-    ArtifactError,
-    Dataset,
-    Provenance,
-    open_artifact,
-    write_artifact,
-)
+from warmlens.artifacts import writing
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset, open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.digest import settings_digest
 from warmlens.config.model import AbcBlock, DarkMatterBlock
 from warmlens.imaging.grid import PixelGrid
@@ -495,7 +491,7 @@ def test_images_of_whole_counts_of_two_lenses_are_two_lenses(lenses: list[Path])
 def test_a_mixed_table_is_not_usable(tmp_path: Path, outcome: Outcome, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = _settings(n_samples=400, abc=_block(leave_one_out=300))
     campaign = _campaign(tmp_path, n=400, noise=0.8)
-    monkeypatch.setattr(file, "sample_code_digest", lambda: "edited")
+    monkeypatch.setattr(writing, "sample_code_digest", lambda: "edited")
     later = _campaign(tmp_path / "later", n=400, noise=0.8)
     shutil.move(later["summaries"][-1], campaign["summaries"][-1])
     run_stage("abc", settings, **campaign)

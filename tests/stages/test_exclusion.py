@@ -8,13 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from warmlens.artifacts.file import (
-    ArtifactError,
-    Dataset,
-    Provenance,
-    open_artifact,
-    write_artifact,
-)
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset, open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.digest import settings_digest
 from warmlens.config.model import AbcBlock, DarkMatterBlock
 from warmlens.products.samples import FAILED_HERE, SampleTable

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
 from warmlens.config.file import load_config, parse_config
 from warmlens.config.model import Config
 from warmlens.fitting.smooth_model import scan_band

@@ -5,7 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.file import ConfigError, load_config, parse_config
 from warmlens.config.model import Config
 from warmlens.imaging.grid import PixelGrid

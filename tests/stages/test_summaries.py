@@ -7,7 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from warmlens.artifacts.file import ArtifactError, Dataset, Provenance, open_artifact, write_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset, open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.model import Config
 from warmlens.products.samples import FAILED_HERE, SampleTable
 from warmlens.sampling import draw_parameters

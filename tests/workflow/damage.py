@@ -12,7 +12,8 @@ import h5py
 import numpy as np
 
 from warmlens.artifacts.chain import input_paths
-from warmlens.artifacts.file import Provenance, open_artifact, write_artifact
+from warmlens.artifacts.file import open_artifact
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.campaign.files import chunks, stage_files, stage_inputs
 from warmlens.config.model import Config
 from warmlens.report.result import print_result

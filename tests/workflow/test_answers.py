@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.audit.campaign import audit_campaign
 from warmlens.audit.crate import write_crate
 from warmlens.audit.manifest import make_manifest, write_manifest

@@ -10,7 +10,7 @@ from typing import Any
 
 from rocrate.rocrate import ROCrate
 
-from warmlens.artifacts.file import file_digest
+from warmlens.artifacts.atomic import file_digest
 from warmlens.audit.campaign import CampaignAudit, audit_campaign
 from warmlens.campaign.status import read_campaign
 

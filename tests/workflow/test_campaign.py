@@ -76,7 +76,7 @@ def test_killed_campaign_resumes_on_one_core_to_the_same_digests(
         start_new_session=True,
     )
     deadline = time.monotonic() + 600.0
-    while not (project.results / "deflections/chunk-0000007-0000014.h5").exists():
+    while not (project.results / "halos/chunk-0000007-0000014.h5").exists():
         assert process.poll() is None, "the campaign ended before it could be killed"
         assert time.monotonic() < deadline
         time.sleep(0.1)

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.chain import audit, check_chains
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.file import open_artifact
 from warmlens.campaign.files import stage_files
 from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config

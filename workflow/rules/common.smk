@@ -9,7 +9,7 @@ from pathlib import Path
 from snakemake.exceptions import WorkflowError
 
 from warmlens import runtime
-from warmlens.artifacts.file import ArtifactError, atomic_path
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
 from warmlens.artifacts.names import (
     ANSWER_FILES,
     CONFIG,

@@ -10,16 +10,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from warmlens.artifacts.file import (
-    ArtifactError,
-    Header,
-    UnreadableNowError,
-    content_digest,
-    input_digest,
-    open_artifact,
-    read_header,
-    reading,
-)
+from warmlens.artifacts.atomic import ArtifactError, UnreadableNowError
+from warmlens.artifacts.file import Header, content_digest, input_digest, open_artifact, read_header, reading
 from warmlens.artifacts.names import results_folder
 from warmlens.config.observation import FITS_FILES
 

@@ -1,19 +1,15 @@
-"""HDF5 artifacts: written completely or not at all, with units, provenance and a digest of their content."""
+"""HDF5 artifacts, read after checks: arrays with units, provenance and a digest of their content."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
 import functools
-import glob
 import hashlib
 import os
 import re
-import shutil
-import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -21,11 +17,10 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from warmlens import __version__, runtime
+from warmlens.artifacts.atomic import ArtifactError, UnreadableNowError, file_digest
 from warmlens.artifacts.checks import (
     UnusableFileError,
     array_seal,
-    array_seals,
     check_name,
     check_seal,
     dataset_names,
@@ -33,28 +28,16 @@ from warmlens.artifacts.checks import (
     json_attribute,
     number_attribute,
     read_array_seals,
-    seal,
     span_attribute,
     text_attribute,
     texts_attribute,
 )
-from warmlens.artifacts.code_version import code_commit, sample_code_digest
 from warmlens.config.digest import canonical_json, settings_digest
 
 SCHEMA_VERSION = 2  # 1 had text of variable length
-_LIBVER = ("v110", "v110")
-_SPARE_BYTES = 2**20
 _ERRNO = re.compile(r"errno = (\d+)")  # of HDF5, in the words of its errors
 _OF_THE_FILE = frozenset({errno.EINVAL, errno.EOVERFLOW, errno.EFBIG, errno.EISDIR})  # damaged sizes and places
 _REMEDY = "delete the file and run the campaign again: only it and what depends on it is recomputed"
-
-
-class ArtifactError(RuntimeError):
-    """An artifact is missing, damaged, of another kind, or cannot be written."""
-
-
-class UnreadableNowError(ArtifactError):
-    """The system refuses to read an artifact, for a reason that lies outside of it and may pass."""
 
 
 @dataclass(frozen=True)
@@ -68,18 +51,6 @@ class Dataset:
     unit: str
     axes: tuple[str, ...]
     description: str
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """Where an artifact comes from: its stage, the settings that shaped it, its inputs."""
-
-    stage: str
-    settings: Mapping[str, Any]
-    inputs: Mapping[str, Path] = field(default_factory=dict)
-    seed_key: str = ""
-    span: tuple[int, int] | None = None
-    started: float = field(default_factory=time.monotonic)
 
 
 @dataclass(frozen=True)
@@ -232,126 +203,6 @@ def _not_read(path: Path, error: OSError, what: str, otherwise: str = "") -> Art
     )
 
 
-def write_artifact(
-    path: Path, provenance: Provenance, datasets: Mapping[str, Dataset], metadata: Mapping[str, Any]
-) -> str:
-    """Write an artifact to a temporary name, sync, rename; return its digest.
-
-    Raises
-    ------
-    ArtifactError
-        If the disk is full or the folder cannot be written; no partial file is left.
-    """
-    n_bytes = sum(each.data.nbytes for each in datasets.values() if not isinstance(each.data, list))
-    commit, dirty = code_commit()
-    with atomic_path(path, n_bytes) as temporary:
-        inputs = {
-            name: {"path": os.path.relpath(source, path.parent), "digest": input_digest(source)}
-            for name, source in provenance.inputs.items()
-        }
-        with h5py.File(temporary, "w", libver=_LIBVER, track_order=True, locking=False) as file:
-            for name, dataset in datasets.items():
-                _write_dataset(file, name, dataset)
-            file.flush()
-            digest = content_digest(file, metadata)
-            attributes = {
-                "schema": f"warmlens/{provenance.stage}",
-                "schema_version": SCHEMA_VERSION,
-                "stage": provenance.stage,
-                "package_version": __version__,
-                "git_commit": commit,
-                "git_dirty": dirty,
-                "code_sha256": sample_code_digest(),
-                "settings": canonical_json(provenance.settings),
-                "settings_sha256": settings_digest(provenance.settings),
-                "metadata": canonical_json(metadata),
-                "inputs": canonical_json(inputs),
-                "seed_key": provenance.seed_key,
-                "span": provenance.span or (),
-                "created_utc": datetime.now(UTC).isoformat(timespec="seconds"),
-                "wall_seconds": time.monotonic() - provenance.started,
-                "digest": digest,
-                "machine": runtime.machine(),
-                "complete": 1,
-            }
-            names = dataset_names(file, temporary.stat().st_size)
-            _set_attributes(file, {**attributes, "arrays": canonical_json(array_seals(file, names))})
-            _set_attributes(file, {"seal": seal(file, names)})
-    return digest
-
-
-@contextlib.contextmanager
-def atomic_path(path: Path, n_bytes: int = 0) -> Iterator[Path]:
-    """Yield a temporary name in the folder of `path` to write to; sync and rename it, or remove it after an error.
-
-    The free space is compared with the expected size `n_bytes` first: HDF5 crashes when a disk fills up.
-
-    Raises
-    ------
-    ArtifactError
-        If there is no room, or the file cannot be written.
-    """
-    temporary = path.with_name(f".{path.name}.tmp-{os.getpid()}")  # which *.h5 does not match
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        for left_over in path.parent.glob(f".{glob.escape(path.name)}.tmp-*"):  # of a killed job
-            left_over.unlink()
-        free = shutil.disk_usage(path.parent).free
-        if free < n_bytes + _SPARE_BYTES:
-            raise OSError(errno.ENOSPC, f"{free / 2**20:.0f} MiB free, {n_bytes / 2**20:.0f} MiB needed")
-        yield temporary
-        with temporary.open("rb") as handle:
-            os.fsync(handle.fileno())
-        temporary.replace(path)
-    except (OSError, RuntimeError) as error:  # h5py reports a failed flush as RuntimeError
-        if isinstance(error, ArtifactError):
-            raise
-        full = getattr(error, "errno", None) == errno.ENOSPC or "No space left" in str(error)
-        reason, remedy = (f"the disk is full ({error})", "make room") if full else (str(error), "fix that")
-        raise ArtifactError(
-            f"{path}: could not be written: {reason}. Finished artifacts are intact; "
-            f"{remedy} and repeat the command"
-        ) from error
-    finally:
-        if temporary.exists():  # on a read-only disk, unlink fails even if there is no file
-            temporary.unlink()
-
-
-def _write_dataset(file: h5py.File, name: str, dataset: Dataset) -> None:
-    options: dict[str, Any] = {}
-    data = _fixed_length(dataset.data) if isinstance(dataset.data, list) else dataset.data
-    if data.ndim != len(dataset.axes):
-        raise ValueError(f"dataset {name!r}: {data.ndim} dimensions, but axes {dataset.axes}")
-    if data.ndim and data.size:
-        # With checksums, a flipped byte is an error, never a number.
-        options.update(chunks=_chunk_shape(data), fletcher32=True)
-        if data.dtype.kind == "S" or (data.ndim >= 2 and data.dtype == np.float32):
-            options.update(shuffle=data.dtype.kind == "f", compression="gzip", compression_opts=1)
-    node = file.create_dataset(name, data=data, **options)
-    axes = _fixed_length(dataset.axes)
-    _set_attributes(node, {"unit": dataset.unit, "axes": axes, "description": dataset.description})
-
-
-def _set_attributes(node: h5py.HLObject, values: Mapping[str, Any]) -> None:
-    for name, value in values.items():
-        node.attrs[name] = _fixed_length([value]).reshape(()) if isinstance(value, str) else value
-
-
-def _fixed_length(texts: Sequence[str]) -> npt.NDArray[np.bytes_]:
-    """Encode strings in UTF-8, padded to the longest."""
-    if any("\0" in text for text in texts):
-        raise ValueError("text with a zero byte, which ends text in HDF5")
-    encoded = [text.encode() for text in texts]
-    return np.array(encoded, dtype=h5py.string_dtype("utf-8", max([1, *map(len, encoded)])))
-
-
-def _chunk_shape(data: npt.NDArray[Any]) -> tuple[int, ...]:
-    """Return the chunks of whole rows along the first axis, about 1 MiB each."""
-    row_bytes = max(1, data[:1].nbytes)
-    rows = int(np.clip(2**20 // row_bytes, 1, data.shape[0]))
-    return (rows, *data.shape[1:])
-
-
 def content_digest(file: h5py.File, metadata: Mapping[str, Any]) -> str:
     """Return the SHA-256 of the metadata and of the names, shapes, dtypes and bytes of all datasets."""
     sha = hashlib.sha256(canonical_json(metadata).encode())
@@ -453,9 +304,3 @@ def input_digest(path: Path) -> str:
     if not path.is_file():
         raise ArtifactError(f"{path}: not a file")
     return file_digest(path)
-
-
-def file_digest(path: Path) -> str:
-    """Return the SHA-256 of the bytes of a file."""
-    with path.open("rb") as handle:
-        return hashlib.file_digest(handle, "sha256").hexdigest()

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from warmlens.artifacts.atomic import ArtifactError, file_digest
 from warmlens.artifacts.chain import Finding, Record, examine
-from warmlens.artifacts.file import ArtifactError, file_digest
 from warmlens.artifacts.names import CHUNKED, CRATE, MANIFEST, SINGLE
 from warmlens.campaign.answer import settings_changes
 from warmlens.campaign.derived import derived_files, derived_findings, ledgers

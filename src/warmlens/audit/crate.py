@@ -14,8 +14,9 @@ from pathlib import Path, PurePosixPath
 from rocrate.model.contextentity import ContextEntity
 from rocrate.rocrate import ROCrate
 
+from warmlens.artifacts.atomic import atomic_path
 from warmlens.artifacts.chain import input_paths
-from warmlens.artifacts.file import Header, atomic_path
+from warmlens.artifacts.file import Header
 from warmlens.artifacts.names import CHUNKED, CONFIG, CRATE, MANIFEST
 from warmlens.products.manifest import Manifest, ManifestFile
 from warmlens.text import CITATION

@@ -11,9 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from warmlens import __version__
+from warmlens.artifacts.atomic import ArtifactError, atomic_path, file_digest
 from warmlens.artifacts.chain import walk
 from warmlens.artifacts.code_version import code_commit
-from warmlens.artifacts.file import ArtifactError, Header, atomic_path, file_digest
+from warmlens.artifacts.file import Header
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.derived import derived_files
 from warmlens.campaign.files import artifact_files

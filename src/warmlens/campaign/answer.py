@@ -8,8 +8,9 @@ from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.chain import Chain, Finding, Record, walk
-from warmlens.artifacts.file import Artifact, ArtifactError, Header, open_artifact, read_header
+from warmlens.artifacts.file import Artifact, Header, open_artifact, read_header
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.derived import derived_findings
 from warmlens.campaign.files import stage_files

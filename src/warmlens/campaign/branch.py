@@ -10,8 +10,9 @@ import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
 from warmlens.artifacts.chain import Chain
-from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
+from warmlens.artifacts.file import input_digest
 from warmlens.artifacts.names import CONFIG, SINGLE
 from warmlens.campaign.files import artifact_files, stage_files
 from warmlens.campaign.start import check_consent, compare_present

@@ -10,8 +10,9 @@ import json
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 
+from warmlens.artifacts.atomic import ArtifactError, file_digest
 from warmlens.artifacts.chain import Finding
-from warmlens.artifacts.file import Artifact, ArtifactError, file_digest, input_digest, open_artifact
+from warmlens.artifacts.file import Artifact, input_digest, open_artifact
 from warmlens.artifacts.names import (
     ANSWER_FILES,
     CONFIG,

@@ -22,7 +22,7 @@ from typing import IO
 
 import psutil
 
-from warmlens.artifacts.file import atomic_path
+from warmlens.artifacts.atomic import atomic_path
 
 _RECORDS = Path(".snakemake/warmlens-runs")
 _LOCKS = Path(".snakemake/locks")

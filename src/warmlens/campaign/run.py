@@ -12,11 +12,10 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from warmlens.artifacts.file import ArtifactError, atomic_path
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
 from warmlens.artifacts.names import CONFIG, EXTENDED
 from warmlens.campaign import locks
 from warmlens.campaign.locks import LockedError
-from warmlens.campaign.preflight import check_observation
 from warmlens.campaign.snakemake import SNAKEMAKE, arguments, recorded_results
 from warmlens.campaign.start import ASK, YES
 from warmlens.campaign.status import campaign_status, progress_line, read_campaign
@@ -56,6 +55,8 @@ def run(config: Config, overlays: Sequence[Path], cores: int, extra: Sequence[st
     if not (folder / "Snakefile").is_file():
         raise ArtifactError(f"{folder.resolve()}: has no Snakefile; run this in the folder of warmlens")
     lift_abandoned_lock(folder, overlays)
+    from warmlens.campaign.preflight import check_observation  # what reads images takes a second to load
+
     for line in check_observation(config):
         print(line, flush=True)
     bring_back_from_the_future(results)

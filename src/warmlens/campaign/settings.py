@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from warmlens.artifacts.file import atomic_path
+from warmlens.artifacts.atomic import atomic_path
 from warmlens.artifacts.names import FILES, SETTINGS
 from warmlens.campaign.files import stage_files
 from warmlens.config.digest import canonical_json

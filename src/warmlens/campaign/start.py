@@ -15,8 +15,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
 from warmlens.artifacts.chain import Chain, Finding, Record
-from warmlens.artifacts.file import ArtifactError, atomic_path, input_digest
+from warmlens.artifacts.file import input_digest
 from warmlens.artifacts.names import ANSWER_FILES, CONFIG, CRATE, LEDGER, MANIFEST, REPORT, STARTED
 from warmlens.campaign.answer import settings_changes
 from warmlens.campaign.derived import (

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
 from warmlens.artifacts.names import CHUNKED, CONFIG, NULL
 from warmlens.campaign.files import note_file, stage_file, stage_files, stage_spans
 from warmlens.config.file import read_stored

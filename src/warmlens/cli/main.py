@@ -304,7 +304,7 @@ def params(
 @app.command()
 def config_reference() -> None:
     """Rewrite comments of config.yaml, docs/configuration.md and the JSON schema from the types of the keys."""
-    from warmlens.artifacts.file import atomic_path
+    from warmlens.artifacts.atomic import atomic_path
     from warmlens.config.reference import generated_files
 
     _load(None)  # an invalid config.yaml stays as it is
@@ -340,7 +340,7 @@ def main() -> None:
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     runtime.prepare()  # before anything numerical is imported
-    from warmlens.artifacts.file import ArtifactError
+    from warmlens.artifacts.atomic import ArtifactError
     from warmlens.campaign.locks import LockedError
     from warmlens.config.file import ConfigError
 

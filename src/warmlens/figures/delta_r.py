@@ -12,7 +12,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
 from warmlens.figures.draw.scan import ScanRow, draw_scan_row, draw_signed_maps, name_row
 from warmlens.figures.draw.sky import add_colour_bar, draw_diverging, draw_image
 from warmlens.figures.draw.style import FULL_WIDTH_INCH

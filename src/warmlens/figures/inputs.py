@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 
-from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.campaign.answer import check_chain
 from warmlens.campaign.derived import figure_inputs, needed_paths
 from warmlens.campaign.snakemake import remaking_command

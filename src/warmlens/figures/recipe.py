@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from warmlens.artifacts.file import atomic_path
+from warmlens.artifacts.atomic import atomic_path
 from warmlens.figures.draw.style import house_style
 from warmlens.imaging.grid import PixelGrid
 from warmlens.types import FloatArray

@@ -13,7 +13,8 @@ mpl.use("agg")
 
 import pandas as pd
 
-from warmlens.artifacts.file import ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import open_artifact
 from warmlens.campaign.derived import drawn_figures, figure_files, record_made
 from warmlens.campaign.status import read_campaign
 from warmlens.config.model import Config

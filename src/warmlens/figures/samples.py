@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.figures.inputs import Inputs, chunk_paths, open_input
 from warmlens.products.samples import OK
 from warmlens.stages.summaries import COMBINED

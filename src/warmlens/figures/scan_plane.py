@@ -15,7 +15,8 @@ from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullFormatter
 
-from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.figures.inputs import Inputs, chunk_paths, input_path, open_input
 from warmlens.figures.recipe import panel_table
 from warmlens.figures.samples import relic_name

@@ -10,8 +10,9 @@ from typing import Annotated, Literal
 from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 
 from warmlens import __version__
+from warmlens.artifacts.atomic import ArtifactError, atomic_path, file_digest
 from warmlens.artifacts.code_version import code_commit
-from warmlens.artifacts.file import ArtifactError, atomic_path, file_digest, input_digest
+from warmlens.artifacts.file import input_digest
 
 _MAX_BYTES = 2**26
 

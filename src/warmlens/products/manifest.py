@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any, Literal
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.names import MANIFEST
 from warmlens.products.ledger import Listing, RelativePath, read_limited, reason
 

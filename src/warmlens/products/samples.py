@@ -11,7 +11,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, ArtifactError, Dataset
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, Dataset
 from warmlens.products.time_limit import time_limit
 from warmlens.sampling import Parameters
 from warmlens.types import BoolArray

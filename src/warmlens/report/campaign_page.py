@@ -9,7 +9,7 @@ from typing import Any
 
 from jinja2 import UndefinedError
 
-from warmlens.artifacts.file import ArtifactError
+from warmlens.artifacts.atomic import ArtifactError
 from warmlens.artifacts.names import FIGURES, REPORT, SINGLE
 from warmlens.campaign.derived import record_made
 from warmlens.campaign.snakemake import remaking_command

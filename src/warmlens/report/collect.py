@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from warmlens.artifacts.file import Artifact, ArtifactError, open_artifact
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.artifacts.names import CHUNKED, CONFIG, EXCLUSION_NUMBERS, SINGLE
 from warmlens.campaign.answer import other_settings
 from warmlens.campaign.files import chunks, stage_files

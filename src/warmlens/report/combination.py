@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.answer import open_answer
 from warmlens.inference.bound import HEADLINE, LEVELS

@@ -16,7 +16,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from warmlens import __version__, text
-from warmlens.artifacts.file import ArtifactError, atomic_path
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
 
 _SYMBOL = re.compile(
     r"(?<![\w.])(m|M|R|v|n|χ²|Σ|Δα)_(TH|h|sens|pert|smooth|sub|max|bound|red|x|y)(?![\w.=]*[\w=])"

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, ArtifactError
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact
 from warmlens.artifacts.names import CHUNKED, SINGLE
 from warmlens.campaign.answer import check_chain
 from warmlens.campaign.files import chunks, stage_files

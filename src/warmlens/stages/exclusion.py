@@ -8,7 +8,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from warmlens.artifacts.file import ArtifactError, Dataset
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset
 from warmlens.inference.acceptance import Acceptance, accept
 from warmlens.inference.calibration import CONFIDENCE, clopper_pearson
 from warmlens.inference.checks import cloud_check

@@ -10,7 +10,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
-from warmlens.artifacts.file import Artifact, Dataset, Provenance, open_input, write_artifact
+from warmlens.artifacts.file import Artifact, Dataset, open_input
+from warmlens.artifacts.writing import Provenance, write_artifact
 from warmlens.config.types import ConfigError
 from warmlens.products.time_limit import SAMPLE_SECONDS
 from warmlens.sampling import Span

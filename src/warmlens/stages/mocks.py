@@ -7,7 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from warmlens.artifacts.file import ArtifactError, Dataset
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset
 from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.grid import PixelGrid
 from warmlens.imaging.mock import bent_rays, lensed_image, subpixel_field

@@ -6,7 +6,8 @@ import logging
 
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, input_digest
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, Dataset, input_digest
 from warmlens.config.scan import ScanBlock
 from warmlens.fitting.linear import LinearModel, build_linear_model
 from warmlens.fitting.smooth_model import SmoothModel, scan_band

@@ -10,7 +10,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from warmlens.artifacts.file import Artifact, ArtifactError, Dataset, open_input
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Artifact, Dataset, open_input
 from warmlens.fitting.linear import LinearFit, physical_coefficients, solve
 from warmlens.fitting.smooth_model import SmoothModel, scan_band
 from warmlens.imaging.observation import Observation

@@ -15,8 +15,8 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.markup import escape
 
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
 from warmlens.artifacts.chain import audit
-from warmlens.artifacts.file import ArtifactError, atomic_path
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.answer import check_chain
 from warmlens.campaign.branch import StageBranch, branch

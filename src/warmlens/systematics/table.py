@@ -13,7 +13,8 @@ import pandas as pd
 from rich.console import Console
 from rich.table import Table
 
-from warmlens.artifacts.file import Artifact, ArtifactError, atomic_path, open_artifact
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
+from warmlens.artifacts.file import Artifact, open_artifact
 from warmlens.artifacts.names import SINGLE
 from warmlens.campaign.files import stage_files
 from warmlens.config.model import Config

@@ -9,7 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from warmlens.artifacts.file import ArtifactError, Dataset
+from warmlens.artifacts.atomic import ArtifactError
+from warmlens.artifacts.file import Dataset
 from warmlens.inference.acceptance import KINDS
 from warmlens.inference.analysis import Analysis, analyse
 from warmlens.inference.bound import HEADLINE, TooFewError

@@ -12,17 +12,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from warmlens.artifacts.atomic import ArtifactError, atomic_path
 from warmlens.artifacts.chain import check_chains
 from warmlens.artifacts.code_version import code_commit
-from warmlens.artifacts.file import (
-    Artifact,
-    ArtifactError,
-    Dataset,
-    Header,
-    atomic_path,
-    open_artifact,
-    open_input,
-)
+from warmlens.artifacts.file import Artifact, Dataset, Header, open_artifact, open_input
 from warmlens.inference.memory import peak_mb
 from warmlens.inference.summary_sets import COUNTS, PAPER, RESPONSE, Summary
 from warmlens.inference.table import Table
